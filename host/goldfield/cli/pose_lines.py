@@ -57,9 +57,9 @@ class PoseLines:
             error = self._truth.error_of(item.pose)
         self._summary.add(item.pose, error, line.lost)
         print(self._line_of(line, error), flush=True)
-        if self._timed and math.isfinite(item.arrived_s):
-            late_s = time.time() - item.arrived_s
-            self._summary.latency.add(late_s)
+        if self._timed and math.isfinite(line.arrived_s):
+            late_s = time.time() - line.arrived_s
+            self._summary.latency.add(late_s, time.process_time() - line.taken_cpu_s)
             if late_s > LATE_S and not self._told:
                 self._told = True
                 tell(f"the lines are more than {LATE_S:g} s late: this machine is too slow for so many poses")

@@ -51,6 +51,8 @@ class Epoch:
         Time of the wall clock at which the message that ended the cycle arrived, in a recording that which it tells.
     at_rate : bool
         Whether poses come at times of their own, each as a `Fix`: that of the epoch is then none of them.
+    taken_cpu_s : float
+        Processor time of this process when it took that message; NaN in a recording.
     """
 
     pose: Pose
@@ -61,6 +63,7 @@ class Epoch:
     findings: tuple[Finding, ...] = ()
     arrived_s: float = math.nan
     at_rate: bool = False
+    taken_cpu_s: float = math.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,10 +76,13 @@ class Fix:
         Its ``time_s`` is the time for which it is valid, on the sensor's clock.
     arrived_s : float
         Time of the wall clock at which the message arrived that made it due, in a recording that which it tells.
+    taken_cpu_s : float
+        Processor time of this process when it took that message; NaN in a recording.
     """
 
     pose: Pose
     arrived_s: float
+    taken_cpu_s: float = math.nan
 
 
 class Sensor:
@@ -191,10 +197,11 @@ class Sensor:
                 self._found = True
                 yield self._epoch(event)
             elif self._between is not None:
-                arrived_s = self._session.receiver.arrived_s
+                receiver = self._session.receiver
+                arrived_s, taken_cpu_s = receiver.arrived_s, receiver.taken_cpu_s
                 if self._session.backlog.broke():
                     self._between.skip()
-                yield from (Fix(pose, arrived_s) for pose in self._between.poses(event))
+                yield from (Fix(pose, arrived_s, taken_cpu_s) for pose in self._between.poses(event))
         if self._between is not None:
             yield from (Fix(pose, math.nan) for pose in self._between.finish())
         if not self._found and not self.live:
@@ -365,6 +372,7 @@ class Sensor:
             findings=verdict.findings,
             arrived_s=self._session.receiver.arrived_s,
             at_rate=at_rate,
+            taken_cpu_s=self._session.receiver.taken_cpu_s,
         )
 
 

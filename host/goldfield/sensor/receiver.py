@@ -86,6 +86,8 @@ class Receiver:
         Messages of other channels are left out; None: all are taken.
     arrived_s : float
         Time of the wall clock at which the latest message arrived, in a recording that which it tells.
+    taken_cpu_s : float
+        Processor time of this process when the latest message was taken; NaN in a recording.
     """
 
     def __init__(
@@ -98,7 +100,7 @@ class Receiver:
         self.name = name
         self.node: int | None = None
         self.channel: str | None = None
-        self.arrived_s = math.nan
+        self.arrived_s = self.taken_cpu_s = math.nan
         self._traffic = no_traffic()
         self._source = source
         self._live = isinstance(source, BusSource)
@@ -135,6 +137,7 @@ class Receiver:
         raw = self._ahead.popleft() if again else self._source.receive(timeout_s)
         if raw is not None:
             self.arrived_s = _arrival_s(raw.timestamp) if self._live else raw.timestamp
+            self.taken_cpu_s = time.process_time() if self._live else math.nan
         if raw is not None and not again and self._recorder is not None:
             for node in self._marks:
                 self._recorder.write(mark(node, raw.timestamp))

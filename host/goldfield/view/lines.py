@@ -22,7 +22,7 @@ class Line:
         The latest cycle whose report came since the line before: that of the pose, unless poses come at a rate.
     lost : int
         Messages that were lost of all these cycles.
-    arrived_s : float
+    arrived_s, taken_cpu_s : float
         As in `Epoch` and `Fix`.
     """
 
@@ -30,6 +30,7 @@ class Line:
     epoch: Epoch | None
     lost: int
     arrived_s: float = math.nan
+    taken_cpu_s: float = math.nan
 
 
 class Lines:
@@ -52,7 +53,7 @@ class Lines:
             self.lost += item.lost
             if item.at_rate:
                 return None
-        line = Line(item.pose, self._epoch, self.lost, item.arrived_s)
+        line = Line(item.pose, self._epoch, self.lost, item.arrived_s, item.taken_cpu_s)
         self._epoch, self.lost = None, 0
         return line
 

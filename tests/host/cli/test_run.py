@@ -39,8 +39,8 @@ LOCATE_KEYS += ["residual", "status", "used", "excluded", "reason", "protection_
 
 
 LATENCY = (
-    r"from the last message to the line: median [\d.]+ ms, 95 % within [\d.]+ ms, 99 % within [\d.]+ ms; "
-    r"\d+ % of a processor\n"
+    r"from the last message to the line: median [\d.]+ ms, 95 % within [\d.]+ ms, 99 % within [\d.]+ ms "
+    r"\(median [\d.]+ ms, 95 % within [\d.]+ ms, 99 % within [\d.]+ ms of it computing\); \d+ % of a processor\n"
 ).replace(" ", r"\s+")
 
 
@@ -439,20 +439,24 @@ def test_lines_that_are_late_are_told_of_once_and_measured(capsys, monkeypatch):
     from goldfield.view.summary import Summary
 
     now = [100.0]
-    monkeypatch.setattr(pose_lines, "time", SimpleNamespace(time=lambda: now[0]))
+    clocks = SimpleNamespace(time=lambda: now[0], process_time=lambda: 7.0)
+    monkeypatch.setattr(pose_lines, "time", clocks)
     summary = Summary("poses")
     lines = pose_lines.PoseLines(pose_lines.json_record_line(truth=False), summary, None, live=True)
     for late_s in (0.004, 0.9, 1.5, 2.0):
-        lines.write(Fix(pose(3, POSITION_M, ATTITUDE.as_quat()), now[0] - late_s))
+        lines.write(Fix(pose(3, POSITION_M, ATTITUDE.as_quat()), now[0] - late_s, 7.0 - 0.1 * late_s))
     lines.write(Fix(pose(3, POSITION_M, ATTITUDE.as_quat()), math.nan))
     lines.close()
     captured = capsys.readouterr()
     assert len(poses(captured.out)) == 5
     assert captured.err.count("the lines are more than 1 s late") == 1
     assert summary.latency.count == 4
-    assert summary.latency.quantiles()["median"] == pytest.approx(0.9, rel=0.02)
+    assert summary.latency.late.quantiles()["median"] == pytest.approx(0.9, rel=0.02)
     assert "5 poses: 5 ok" in summary.text(truth=False)
-    assert summary.record()["latency"]["p99_s"] == pytest.approx(2.0, rel=0.02)
+    told = summary.record()["latency"]
+    assert [told["p99_s"], told["most_s"]] == [pytest.approx(2.0, rel=0.02), 2.0]
+    assert told["work"]["median_s"] == pytest.approx(0.09, rel=0.02)
+    assert told["work"]["most_s"] == pytest.approx(0.2)
 
 
 @pytest.mark.parametrize(
