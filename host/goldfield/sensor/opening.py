@@ -8,7 +8,7 @@ from goldfield.errors import UserError, option
 from goldfield.link.access_key import load_key
 from goldfield.link.buses import Source
 from goldfield.sensor.options import Options, chosen_method
-from goldfield.sensor.pipeline import Sensor
+from goldfield.sensor.pipeline import Sensor, rehearse
 from goldfield.sensor.receiver import Recorder
 from goldfield.sensor.sources import open_source
 from goldfield.site import Site, load
@@ -148,6 +148,8 @@ def open_sensor(
     """
     options = Options() if options is None else options
     options.check(site)
+    if kind != "log":  # before anything waits for it
+        rehearse(site, options)
     return Sensor(source or open_source(kind, where, options), where, site, options, recorder)
 
 

@@ -385,6 +385,14 @@ def _between(site: Site, options: Options, aside: Executor | None) -> Between | 
     return between_of(site, options, aside)
 
 
+def rehearse(site: Site, options: Options) -> None:
+    """Use once what makes poses between the cycles, so that the first ones of a live sensor need not wait for it."""
+    if options.method is Method.TRACK:
+        from goldfield.track.blocks.rehearsal import rehearse as track  # long to import
+
+        track(site)
+
+
 def _unexplained(finding: Finding | None, verdict: Verdict) -> Finding | None:
     """Return what anchors see, unless it is a current that the board measures: that is in the fields already."""
     if finding is not None and finding.kind is Explanation.CURRENT and set(finding.beacons) <= verdict.ratio.keys():
