@@ -12,6 +12,7 @@
 #define MIX_S    0.012f /* Time after which the filters are mixed. */
 #define CHANGE_S 0.5f   /* Time in which the sensor begins to move in another way. */
 #define HUGE_UT  1e6f   /* Sum beyond which a block is no data, uT. */
+#define MOVES    3.0f   /* Deviations beyond which a sensor moves, or has moved on. */
 
 /* Standard deviations at a start, beside the pose's. */
 #define START_DEVIATION 2.0f /* Factor on those that the pose was located with. */
@@ -37,6 +38,7 @@ void block_filter_init(block_filter_t *filter, const loop_t *coils, uint32_t cou
 }
 
 void block_filter_coils(block_filter_t *filter, const loop_t *coils, uint32_t count) {
+    filter->measure.known = false;
     filter->coils = coils;
     filter->count = count;
 }
@@ -53,6 +55,7 @@ void block_filter_begin(block_filter_t *filter, const block_state_t *state,
         memcpy(one->covariance, covariance, sizeof one->covariance);
         one->probability = 1.0f / (float)BLOCK_FILTERS;
     }
+    filter->kept = false;
     filter->best = 0;
     filter->refused = 0;
     filter->unmixed_s = 0.0f;
@@ -128,6 +131,11 @@ static bool plausible(const block_t *block) {
     return all;
 }
 
+void block_filter_keep_slopes(block_filter_t *filter, bool keep) {
+    filter->keeps = keep;
+    filter->kept = filter->kept && keep;
+}
+
 void block_filter_predict(block_filter_t *filter, float seconds) {
     if (block_filter_lost(filter)) {
         return;
@@ -140,6 +148,45 @@ void block_filter_predict(block_filter_t *filter, float seconds) {
     }
     for (uint32_t k = 0; k < BLOCK_FILTERS; k++) {
         block_kalman_predict(&filter->filters[k], seconds);
+    }
+}
+
+/* Returns the variance of one of the vectors of a state, summed over its axes. */
+static float variance(const block_kalman_t *filter, uint32_t first) {
+    float sum = 0.0f;
+    for (uint32_t axis = 0; axis < 3u; axis++) {
+        sum += filter->covariance[first + axis][first + axis];
+    }
+    return sum;
+}
+
+static float square(const float vector[3]) {
+    return vector3_dot(vector, vector);
+}
+
+/* Returns whether the sensor stands still where the slopes were taken, for all that is known. The ambient field turns
+ * with the attitude that it was seen from. */
+static bool stands(const block_filter_t *filter) {
+    const block_kalman_t *const best = &filter->filters[filter->best];
+    const block_state_t *const state = &best->state;
+    const float field2 = START_FIELD * START_FIELD +
+                         square(state->ambient_uT) * (variance(best, BLOCK_THETA) + filter->kept_rad2);
+    float moved[3], turned[3];
+    vector3_subtract(state->position_m, filter->measure.place.position_m, moved);
+    vector3_subtract(state->ambient_uT, filter->measure.place.ambient_uT, turned);
+    return square(state->velocity_m_s) <= MOVES * MOVES * variance(best, BLOCK_V) &&
+           square(moved) <= MOVES * MOVES * (variance(best, BLOCK_P) + filter->kept_m2) &&
+           square(turned) <= MOVES * MOVES * field2;
+}
+
+/* Decides whether the slopes of the block before are kept; those that are taken anew may be kept from then on. */
+static void settle(block_filter_t *filter) {
+    const block_kalman_t *const best = &filter->filters[filter->best];
+    filter->measure.held = filter->kept && stands(filter);
+    filter->kept = filter->keeps;
+    if (!filter->measure.held) {
+        filter->kept_m2 = variance(best, BLOCK_P);
+        filter->kept_rad2 = variance(best, BLOCK_THETA);
     }
 }
 
@@ -171,7 +218,11 @@ static inline bool update(block_filter_t *filter, const block_t *block, float se
         return false;
     }
     filter->measure.reference = filter->filters[filter->best].state;
+    if (sweep == NULL) {
+        settle(filter);
+    }
     block_measure(block, filter->coils, &filter->measure);
+    filter->measure.known = true;
     if (sweep != NULL) {
         filter->measure.rank += block_sweep(block, &filter->measure, sweep);
     }

@@ -1,6 +1,7 @@
 #include "core/track/block_measure.h"
 
 #include <stdbool.h>
+#include <string.h>
 
 #include "core/math/quaternion.h"
 #include "core/math/roots.h"
@@ -15,9 +16,9 @@ static void multiply(const float matrix[3][3], const float vector[3], float prod
     }
 }
 
-/* Computes field and gradient of each column, in the site's frame. */
+/* Computes field and gradient of each column at the place, in the site's frame. */
 static void model(const loop_t *coils, uint32_t ambient, block_measure_t *measure) {
-    const block_state_t *const at = &measure->reference;
+    const block_place_t *const at = &measure->place;
     for (uint32_t i = 0; i < ambient; i++) {
         block_field_t *const field = &measure->model[i];
         float gradient[3][3];
@@ -70,13 +71,43 @@ static inline void leave(const block_measure_t *measure, uint32_t i, const float
     }
 }
 
+/* Computes by how much the fields at the reference differ from those of the model, which are of another place. */
+static void differ(const loop_t *coils, uint32_t ambient, const block_measure_t *measure,
+                   float more_uT[BLOCK_COLUMNS][3]) {
+    for (uint32_t i = 0; i <= ambient; i++) {
+        if (i < ambient) {
+            loop_field(&coils[i], measure->reference.position_m, more_uT[i]);
+        } else {
+            memcpy(more_uT[i], measure->reference.ambient_uT, sizeof more_uT[i]);
+        }
+        vector3_subtract(more_uT[i], measure->model[i].field_uT, more_uT[i]);
+    }
+}
+
+/* Takes what differs from the model from what this leaves of a row. */
+static inline void take_more(uint32_t count, const float *gram, const float more_uT[BLOCK_COLUMNS][3],
+                             float residual[3]) {
+    for (uint32_t j = 0; j < count; j++) {
+        for (uint32_t axis = 0; axis < 3u; axis++) {
+            residual[axis] -= gram[j] * more_uT[j][axis];
+        }
+    }
+}
+
 /* Computes the gradient of the likelihood, times sigma^2, which is the right side of the rows. */
-static void descend(const block_t *block, block_measure_t *measure) {
-    float offset[3], residual[3] = {0.0f}, crossed[3], by_p[3] = {0.0f}, by_theta[3] = {0.0f};
+static void descend(const block_t *block, const loop_t *coils, block_measure_t *measure) {
+    float offset[3], residual[3] = {0.0f}, crossed[3], by_p[3] = {0.0f}, by_theta[3] = {0.0f},
+                     more_uT[BLOCK_COLUMNS][3];
     multiply((const float(*)[3])measure->rotation, measure->reference.offset_uT, offset);
+    if (measure->held) {
+        differ(coils, block->columns - 1u, measure, more_uT);
+    }
     for (uint32_t i = 0; i < block->columns; i++) {
         float gradient[3][3];
         leave(measure, i, block->sums_uT[i], offset, residual);
+        if (measure->held) {
+            take_more(block->columns, block->gram[i], (const float(*)[3])more_uT, residual);
+        }
         block_field_expand(measure->model[i].gradient, gradient);
         vector3_cross(residual, measure->model[i].field_uT, crossed);
         for (uint32_t axis = 0; axis < 3u; axis++) {
@@ -251,12 +282,18 @@ static inline uint32_t eliminate(float rows[BLOCK_OBSERVED][BLOCK_ROW], const fl
 
 void block_measure(const block_t *block, const loop_t *coils, block_measure_t *measure) {
     quaternion_matrix(measure->reference.quaternion, measure->rotation);
-    model(coils, block->columns - 1u, measure);
+    if (!measure->held) {
+        memcpy(measure->place.position_m, measure->reference.position_m, sizeof measure->place.position_m);
+        memcpy(measure->place.ambient_uT, measure->reference.ambient_uT, sizeof measure->place.ambient_uT);
+    }
+    if (!measure->held || !measure->known) {
+        model(coils, block->columns - 1u, measure);
+    }
     for (uint32_t i = 0; i < block->columns; i++) {
         sum_row(block, i, measure);
     }
     compose(block->columns, measure);
-    descend(block, measure);
+    descend(block, coils, measure);
     float whole[BLOCK_OBSERVED];
     for (uint32_t i = 0; i < BLOCK_OBSERVED; i++) {
         whole[i] = measure->rows[i][block_measure_diagonal(i)];

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from tests.firmware.core.track import dense
-from tests.firmware.core.track.single import BLOCK_S, matrices
+from tests.firmware.core.track.single import BLOCK_S, Bits, Kernel, cube, matrices
 
 END_S = 15 * dense.CHIP_S
 """From the middle of a block to its last sample."""
@@ -246,3 +246,102 @@ def test_a_track_is_moved_by_what_a_better_pose_differs(fly):
         np.testing.assert_allclose(variance[:6], [16e-6] * 3 + [4e-2] * 3, rtol=1e-5)
         # 3.5 deviations over 0.1 s for the velocity; the turn rate's would be above that of a start, 4 rad/s.
         np.testing.assert_allclose(variance[6:12], [3 * 35.0**2 * 4e-6] * 3 + [16.0] * 3, rtol=1e-5)
+
+
+class Rest:
+    """A sensor at rest, 0.3 to 0.6 m from the centre of a coil, and its filter, which starts with what a cycle tells.
+
+    The errors of the start are drawn from the covariance by the slopes at the truth.
+    """
+
+    def __init__(self, core, family, seed, noise=0.2):
+        self.coils, self.bits, self.noise = cube(), Bits(family(10), 8), noise
+        self.rng = np.random.default_rng([seed, 9])
+        self.kernel = Kernel(core, self.coils, noise)
+        away = self.rng.normal(size=3)
+        place = self.coils.centre[seed % 8] + self.rng.uniform(0.3, 0.6) * away / np.linalg.norm(away)
+        rotation = Rotation.random(random_state=self.rng).as_matrix()
+        self.truth = dense.State(place, rotation, np.zeros(3), np.zeros(3), np.array([20.0, 5.0, -40.0]), np.zeros(3))
+        self.pose, self.number = self.kernel.ffi.new("block_pose_t *"), 0
+        self.still = dense.still_part(self.coils, self.truth)
+
+    def start(self):
+        """Start as a cycle tells it."""
+        columns = self.bits.columns(0, 1023)
+        gram, moment = dense.products(columns)
+        no_data = dense.sums(self.coils, self.truth, gram, moment)
+        _, rows = dense.measured(self.coils, self.truth, gram, moment, no_data, self.noise)
+        rows = rows[:9, [*range(6), *range(12, 15)]]
+        covariance = np.linalg.inv(rows.T @ rows)
+        state = self.truth.moved(np.r_[self.rng.multivariate_normal(np.zeros(9), covariance)[:6], np.zeros(12)])
+        start = self.kernel.ffi.new("block_start_t *")
+        start.position_m = state.p.tolist()
+        start.quaternion = Rotation.from_matrix(state.rotation).as_quat().tolist()
+        start.position_cov_m2 = covariance[:3, :3].tolist()
+        start.attitude_cov_rad2 = covariance[3:6, 3:6].tolist()
+        start.ambient_uT, start.ambient_sd_uT = self.still[-1].tolist(), 0.01
+        self.kernel.lib.block_filter_start(self.kernel.filter, start)
+
+    def step(self):
+        """Take a block; return the squared error of the position over its variance."""
+        self.number += 1
+        columns = self.bits.columns(31 * self.number)
+        noisy = columns @ self.still + self.rng.normal(0.0, self.noise, (31, 3))
+        block = self.kernel.fill(self.bits.words(31 * self.number), columns.T @ noisy)
+        self.kernel.lib.block_filter_update(self.kernel.filter, block, BLOCK_S)
+        self.kernel.lib.block_filter_output(self.kernel.filter, 0.0, self.pose)
+        error = np.array(list(self.pose.state.position_m)) - self.truth.p
+        return float(error @ error / np.trace(self.kernel.matrix(self.pose.covariance)[:3, :3]))
+
+
+def beside_coils(core, family, keep):
+    """The mean squares of sixteen sensors at rest beside coils over their variances, and how often slopes were kept."""
+    means, held = [], 0
+    for seed in range(16):
+        rest, squares = Rest(core, family, seed), []
+        rest.start()
+        rest.kernel.lib.block_filter_keep_slopes(rest.kernel.filter, keep)
+        for _ in range(165):
+            squares.append(rest.step())
+            held += rest.kernel.filter.measure.held
+        means.append(np.mean(squares[33:]))
+    return np.array(means), held / (16 * 165)
+
+
+def test_a_sensor_at_rest_beside_a_coil_learns_nothing_of_changing_slopes(core, gold_family):
+    """Each block linearised where the filter believes the sensor then makes it sure of wrong places.
+
+    One of the starts is so vague, 0.32 m from a coil, that it leads astray in any case: a sensor takes another.
+    """
+    kept, held = beside_coils(core, gold_family, keep=True)
+    anew, never = beside_coils(core, gold_family, keep=False)
+    print(f"slopes kept: median {np.median(kept):.2f}, {(kept > 3.0).sum()} of 16 above 3")
+    print(f"taken anew: median {np.median(anew):.2f}, {(anew > 3.0).sum()} of 16 above 3")
+    assert held > 0.9
+    assert never == 0
+    assert 0.4 < np.median(kept) < 1.2
+    assert (kept > 1.6).sum() <= 1
+    assert (anew > 3.0).sum() >= 8
+
+
+@pytest.mark.parametrize(("speed", "held"), [(0.0, True), (0.5, False)])
+def test_slopes_are_kept_at_rest_and_not_in_motion(fly, speed, held):
+    """A flight at rest, or at half a metre a second; the filter starts with a deviation of a few millimetres."""
+    flight = fly()
+    place = flight.truth(0.0)
+    flight.truth = lambda t: dense.State(
+        place.p + speed * t * np.array([0.6, 0.0, 0.8]),
+        place.rotation,
+        speed * np.array([0.6, 0.0, 0.8]),
+        np.zeros(3),
+        place.e,
+        place.b,
+    )
+    flight.start()
+    flight.kernel.lib.block_filter_keep_slopes(flight.kernel.filter, True)
+    seen = []
+    for _ in range(60):
+        assert flight.step()
+        seen.append(flight.kernel.filter.measure.held)
+    assert seen[0] is False  # These are taken at the start.
+    assert np.mean(seen[30:]) > 0.95 if held else np.mean(seen[30:]) < 0.05
