@@ -12,7 +12,8 @@
 #define UT_M3_PER_A_M2 0.1f  /* mu0 / (4 pi) in uT m^3 for each A m^2. */
 #define WEAK_ATTITUDE  0.5f  /* Standard deviation of the attitude beyond which nothing linear holds, rad. */
 #define WEAK_DISTANCE  0.25f /* That of the position, over the distance to the nearest beacon. */
-#define WIDENED        2.0f  /* The filter takes so many times the deviations of a start. */
+#define CURVATURE      6.0f  /* What errors of second order add to a dipole's field: half of 3 times 4. */
+#define VAGUE          3.0f  /* Largest such part of a field over its noise. */
 #define START_VELOCITY 3.0f  /* Standard deviations with which the filter begins: m/s ... */
 #define START_RATE     4.0f  /* ... and rad/s. */
 #define PROTECTION_SD  3.29f /* Deviate of what noise alone exceeds in one of a thousand cases. */
@@ -98,6 +99,14 @@ static bool is_out(const tracking_t *tracking, uint32_t row) {
     return row == tracking->verdict.left_out || row == tracking->suspect || tracking->coils[row].k_uT_m3 == 0.0f;
 }
 
+static float trace(const float matrix[3][3]) {
+    return matrix[0][0] + matrix[1][1] + matrix[2][2];
+}
+
+static float root_of_trace(const float matrix[3][3]) {
+    return square_root(trace(matrix));
+}
+
 static float nearest_m(const tracking_t *tracking, const float position_m[3]) {
     float nearest2 = 1e30f;
     for (uint32_t i = 0; i < tracking->count; i++) {
@@ -112,6 +121,28 @@ static float nearest_m(const tracking_t *tracking, const float position_m[3]) {
 /* Returns whether nothing linear holds over the errors of a pose. */
 static bool is_weak(const tracking_t *tracking, float position_sd_m, float attitude_sd_rad, const float position_m[3]) {
     return attitude_sd_rad > WEAK_ATTITUDE || position_sd_m > WEAK_DISTANCE * nearest_m(tracking, position_m);
+}
+
+/* Returns whether what is of second order in the errors of a pose that so many chips have told is more than their noise
+ * in the field of any beacon. */
+static bool is_vague(const tracking_t *tracking, const pose_t *pose, float chips) {
+    const float position_m2 = trace(pose->position_cov_m2), turn_rad2 = trace(pose->attitude_cov_rad2);
+    float most2 = 0.0f;
+    for (uint32_t i = 0; i < tracking->count; i++) {
+        const loop_t *const coil = &tracking->coils[i];
+        float away[3], field[3];
+        if (is_out(tracking, i)) {
+            continue;
+        }
+        vector3_subtract(pose->position_m, coil->centre_m, away);
+        loop_field(coil, pose->position_m, field);
+        const float distance2 = vector3_dot(away, away) + coil->radius_m * coil->radius_m;
+        const float part = CURVATURE * position_m2 / distance2 + 0.5f * turn_rad2;
+        const float second2 = part * part * vector3_dot(field, field);
+        most2 = second2 > most2 ? second2 : most2;
+    }
+    const float noise_uT = MICROTESLA * tracking->onboard->noise_T;
+    return most2 * chips > VAGUE * VAGUE * noise_uT * noise_uT;
 }
 
 /* Sets status, reason and protection level of a pose whose numbers are set. */
@@ -141,10 +172,6 @@ static void judge(const tracking_t *tracking, float position_sd_m, float attitud
         pose->status = POSE_UNVERIFIED;
         pose->reason = POSE_REASON_UNVERIFIED;
     }
-}
-
-static float root_of_trace(const float matrix[3][3]) {
-    return square_root(matrix[0][0] + matrix[1][1] + matrix[2][2]);
 }
 
 /* Sends the pose at the end of the latest block. */
@@ -455,9 +482,9 @@ static void begin(tracking_t *tracking, node_t *node) {
     block_filter_start(&tracking->filter, &start);
     tracking->misfits = tracking->accused = 0;
     select(tracking, found->position_m);
-    const bool vague = tracking->onboard->chips == BLOCK_CYCLE_CHIPS && !tracking->doubted &&
-                       is_weak(tracking, WIDENED * root_of_trace(found->position_cov_m2),
-                               WIDENED * root_of_trace(found->attitude_cov_rad2), found->position_m);
+    const bool vague = tracking->onboard->chips == BLOCK_CYCLE_CHIPS &&
+                       is_vague(tracking, found, (float)(tracking->gathered * BLOCK_CHIPS));
+    block_filter_keep_slopes(&tracking->filter, false);
     tracking->vague = vague ? TRACKING_VAGUE_CYCLES : 0u;
     tracking->unrest = vague ? TRACKING_UNREST_CYCLES : 0u;
     tracking->rests = vague;
@@ -502,6 +529,7 @@ static void begin_again(tracking_t *tracking) {
     memcpy(there.position_cov_m2, onboard->pose.position_cov_m2, sizeof there.position_cov_m2);
     memcpy(there.attitude_cov_rad2, onboard->pose.attitude_cov_rad2, sizeof there.attitude_cov_rad2);
     block_filter_shift(&tracking->filter, onboard->located_m, onboard->located_q, &there, CYCLE_S);
+    block_filter_keep_slopes(&tracking->filter, true);
     select(tracking, tracking->filter.filters[tracking->filter.best].state.position_m);
 }
 
@@ -523,6 +551,10 @@ static void resolve(tracking_t *tracking, const onboard_verdict_t *verdict) {
     } else if (tracking->vague > 0u) {
         begin_again(tracking);
         tracking->vague -= astray && verdict->by_track ? 0u : 1u;
+    } else if (is_vague(tracking, &tracking->onboard->pose, (float)BLOCK_CYCLE_CHIPS)) {
+        begin_again(tracking);
+        tracking->rests = tracking->rests || tracking->unrest == 0u;
+        tracking->unrest = TRACKING_UNREST_CYCLES;
     } else if (astray && tracking->unrest > 0u) {
         begin_again(tracking);
         tracking->vague = verdict->by_track ? 1u : 0u;

@@ -14,12 +14,15 @@
  * are answered as failed, with the search's reason, and the latest of them is the next to start from. The track is lost
  * after BLOCK_FILTER_REFUSALS blocks in a row that were refused, did not fit or did not come, and starts again.
  *
- * One block beside a coil may tell so little that nothing is linear over its errors: the filter, which linearises each
- * block where it believes the sensor then, is soon sure of a wrong place. A track that starts weak stays weak until
- * TRACKING_VAGUE_CYCLES cycles were located, and begins anew with each of them (block_filter_shift). Such a track is
- * restless, and its unrest is in what it makes of a cycle; so cycles are located as of a sensor at rest, unless that
- * does not fit, for TRACKING_UNREST_CYCLES. One that is found more than TRACKING_ASTRAY deviations away meanwhile moves
- * the track, too. (The host fits the first blocks together instead, for which there is no memory here.)
+ * One block may tell so little that nothing is linear over its errors, beside a coil above all, where the field is
+ * known to a thousandth: the filter, which linearises each block where it believes the sensor then, is soon sure of a
+ * wrong place. A track that starts vague stays weak until TRACKING_VAGUE_CYCLES cycles were located,
+ * and begins anew with each of them (block_filter_shift); from then on, slopes are kept while the sensor stands still
+ * (block_filter_keep_slopes). It begins anew with every later cycle that is vague itself, too: single cycles know
+ * better than what the filter makes of several of them. Such a track is restless, and its unrest is in what it makes of
+ * a cycle; so cycles are located as of a sensor at rest, unless that does not fit, for TRACKING_UNREST_CYCLES. One that
+ * is found more than TRACKING_ASTRAY deviations away meanwhile moves the track, too. (The host fits the first blocks
+ * together instead, for which there is no memory here.)
  *
  * Status. Single blocks are too noisy to tell that a beacon is not as the site says. Status, reason, the beacon left
  * out and the protection level of each pose are those of the latest cycle that onboard.h has located; before there is

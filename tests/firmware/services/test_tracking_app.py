@@ -183,26 +183,29 @@ def counts_near_a_coil(rng: np.random.Generator) -> tuple[NDArray[np.float64], C
 def test_a_track_that_starts_beside_a_coil_knows_how_far_it_is_off(make: Callable[..., World]) -> None:
     """One block beside a coil tells so little that nothing is linear over its errors.
 
-    That is told until cycles were located, from which the track goes on. Before, the squared error over the variance
-    of the poses that claimed more was 3.5 in the median.
+    That is told until cycles were located, from which the track goes on, with the slopes of one place. Before, the
+    squared error over the variance of the poses that claimed more was 3.5 in the median; with slopes taken anew for
+    each block it was 1.4, 3.3 in the mean, and four tracks were off by more than three deviations at their end.
     """
-    rng, squares, weak = np.random.default_rng(2), [], 0
+    rng, squares, last = np.random.default_rng(2), [], []
     for _ in range(16):
         place, counts = counts_near_a_coil(rng)
         world = make(counts)
         world.run_cycles(11)
         told = told_by(world)
-        if told[0].status == WEAK:
-            assert {pose.status for pose in told[:8]} <= {WEAK, INCONSISTENT}
-        weak += told[0].status == WEAK
+        assert {pose.status for pose in told[:8]} <= {WEAK, INCONSISTENT}
+        assert told[0].status == WEAK
         sure = [pose for pose in told if pose.status in (OK, UNVERIFIED)]
         errors = np.array([np.linalg.norm([pose.position[axis] for axis in "xyz"] - place) for pose in sure])
         assert (errors <= [pose.integrity["protection"] for pose in sure]).all()
         squares += list((errors / [pose.quality["sigma_position"] for pose in sure]) ** 2)
+        last.append(np.sqrt(squares[-1]))
     print(f"{len(squares)} poses ok or unverified: median {np.median(squares):.1f}, mean {np.mean(squares):.1f}")
-    assert 8 < weak < 16
+    print(f"at their end {np.sum(np.array(last) > 3.0)} of 16 tracks off by more than three deviations")
     assert len(squares) > 16 * BLOCKS_A_CYCLE
-    assert 0.2 < np.median(squares) < 2.5  # a third to one for what is normal in one to three directions
+    assert 0.2 < np.median(squares) < 1.2  # a third to one for what is normal in one to three directions
+    assert 0.5 < np.mean(squares) < 1.7
+    assert np.max(last) < 4.0
 
 
 def test_an_ambiguous_start_says_so_until_a_cycle_tells(make: Callable[..., World]) -> None:
