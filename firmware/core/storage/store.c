@@ -29,6 +29,7 @@ enum {
     PHASE_RENEW,  /* Program commit and settled word of the newest record. */
     PHASE_DONE,   /* Nothing is to be done. */
     PHASE_CHOOSE, /* Find room for a save. */
+    PHASE_RETIRE, /* Clear the words in front of the records of a slot that is to be erased. */
     PHASE_ERASE,  /* Erase a slot. */
     PHASE_HEAD,   /* Program the words in front of the records. */
     PHASE_READY,  /* Program the mark of the erasure once more. */
@@ -62,34 +63,46 @@ static uint32_t commit_at(const store_t *store, uint32_t slot, uint32_t record) 
     return record + (words_of(store, slot)[record] & COUNT_MASK) + AROUND_DATA;
 }
 
+/* Whether what lies in a slot counts: one of the three things in front of the records may be damaged. A slot that is
+ * being erased has had all of them cleared, so that of its records nothing can come back, however the erasure ends. */
+static bool is_live(const uint32_t *words) {
+    const bool marked = words[0] == SLOT, counted = words[WEAR] == ~words[WEAR + 1u],
+               ready = words[SLOT_READY] == READY;
+    return (marked && counted) || (marked && ready) || (counted && ready);
+}
+
 /* What a slot holds. */
 typedef struct {
     uint32_t newest;   /* Index of its newest record, 0: none. */
     uint32_t dangling; /* Index of what begins like a record behind all good ones, and is not void; 0: none. */
-    uint32_t behind;   /* Index behind the last word that is not erased. */
+    uint32_t behind;   /* Index behind the last word that is not erased, and behind all that heads lay claim to. */
     bool ready;        /* Whether records may be added. */
 } contents_t;
 
 static contents_t look_through(const store_t *store, uint32_t slot) {
     const uint32_t *const words = words_of(store, slot);
     contents_t found = {.behind = store->flash.words};
-    while (found.behind > 0u && words[found.behind - 1u] == ERASED) {
+    if (found.behind < SLOT_HEAD || !is_live(words)) {
+        return found;
+    }
+    while (words[found.behind - 1u] == ERASED) { /* A live slot has words that are not. */
         found.behind--;
     }
-    uint32_t index = SLOT_HEAD;
+    uint32_t index = SLOT_HEAD, reach = 0;
     while (index < found.behind) { /* An erased word is no head. */
         const uint32_t size = record_words(store, words, index);
+        reach = size != 0u && index + size > reach ? index + size : reach;
         if (size != 0u && is_valid(words + index)) {
             found.newest = index; /* Records follow each other in a slot. */
             found.dangling = 0;
-            index += size;
-        } else {
-            if (size != 0u && found.dangling == 0u && words[index + size - 1u] != 0u) {
-                found.dangling = index;
-            }
-            index++;
+        } else if (size != 0u && found.dangling == 0u && words[index + size - 1u] != 0u) {
+            found.dangling = index;
         }
+        /* Power that is lost within a head leaves an erased word behind it. A head with its number is whole, and what
+         * is in its record is data, whatever it looks like. */
+        index += size != 0u && words[index + 1u] != ERASED ? size : 1u;
     }
+    found.behind = reach > found.behind ? reach : found.behind;
     found.ready = words[0] == SLOT && words[WEAR] == ~words[WEAR + 1u] && words[SLOT_READY] == READY;
     return found;
 }
@@ -197,7 +210,7 @@ static uint8_t choose(store_t *store) {
     const uint32_t here = store_wear(store, store->into), there = store_wear(store, 1u - store->into);
     store->erased = (here != 0u ? here : there) + 1u; /* Slots are erased by turns. */
     store->at = SLOT_HEAD;
-    return PHASE_ERASE;
+    return is_live(words_of(store, store->into)) ? PHASE_RETIRE : PHASE_ERASE;
 }
 
 static uint32_t head_word(const store_t *store) {
@@ -215,8 +228,8 @@ static uint32_t record_word(const store_t *store) {
     return store->cursor < store->count + BEFORE_DATA ? store->data[store->cursor - BEFORE_DATA] : store->crc;
 }
 
-/* Whether words hold a whole record of their own. If the power were lost within the record around them, the next start
- * would find theirs. */
+/* Whether words hold a whole record of their own. If a bit of the head in front of them changed, theirs would be
+ * found. */
 static bool hold_record(const uint32_t *words, uint32_t count) {
     for (uint32_t i = 0; i + AROUND_DATA < count; i++) {
         const bool fits = (words[i] & COUNT_MASK) + AROUND_DATA < count - i;
@@ -253,6 +266,8 @@ static store_step_t step_of(const store_t *store) {
     switch (store->phase) {
     case PHASE_ERASE:
         return (store_step_t){STORE_ERASE, store->into, 0, 0};
+    case PHASE_RETIRE:
+        return program(store, cursor, 0);
     case PHASE_VOID:
         return program(store, store->at + cursor, 0);
     case PHASE_RENEW:
@@ -277,6 +292,7 @@ static uint32_t length(const store_t *store) {
     case PHASE_ERASE:
     case PHASE_READY:
         return 1;
+    case PHASE_RETIRE:
     case PHASE_HEAD:
         return SLOT_HEAD;
     case PHASE_RECORD:
@@ -305,6 +321,8 @@ static uint8_t after_failure(store_t *store) {
         return after_void(store, false);
     case PHASE_RENEW:
         return PHASE_DONE;
+    case PHASE_RETIRE:
+        return PHASE_ERASE; /* A worn word: what it says does not count. */
     case PHASE_RECORD:
     case PHASE_COMMIT:
         store->attempts++;
@@ -326,6 +344,8 @@ static uint8_t after(store_t *store) {
         return after_void(store, true);
     case PHASE_CHOOSE:
         return choose(store);
+    case PHASE_RETIRE:
+        return PHASE_ERASE;
     case PHASE_ERASE:
         return PHASE_HEAD;
     case PHASE_HEAD:

@@ -27,6 +27,11 @@
  * so that it does not come back at another temperature. A word is left free behind what was last written, and the
  * mark of the erasure is programmed once more before a record is added.
  *
+ * Words of a set may look like a record. They are never taken for one: a head is followed by its number only if it was
+ * programmed to its end, and what lies within a record with both is skipped, whole or not; a head without its number
+ * keeps the room that it lays claim to. A slot's own head is cleared before it is erased, and with two of the three
+ * things in it gone nothing counts that is in the slot.
+ *
  * A word that does not take its value makes the save begin anew behind it, the third time in the other slot;
  * STORE_ATTEMPTS end it.
  *
@@ -99,8 +104,8 @@ const uint32_t *store_read(const store_t *store, uint32_t *count);
 /* Begin to save count words, which must stay as they are until the outcome is there.
  * Returns false, with nothing begun, while another save or the mending after store_open() is under way, for more words
  * than a slot holds, flash.words - STORE_OVERHEAD, or STORE_WORDS_MAX, and for words that hold a whole record of this
- * module with its CRC, or whose own CRC is the commit word: they hardly come by chance, and after a loss of power what
- * is in them would be read in place of the set. */
+ * module with its CRC, or whose own CRC is the commit word: they hardly come by chance, and one wrong bit in the head
+ * in front of them would have them read in place of the set. */
 bool store_save(store_t *store, const uint32_t *data, uint32_t count);
 
 /* Returns the next step for the caller to carry out; STORE_NOTHING if all is done. */

@@ -329,3 +329,130 @@ def test_a_worn_cell_costs_no_set_that_was_promised(core, index, both):
         assert board.read() == kept
     assert said.count(True) == (12 if index >= HEAD else 0 if both else FIT)
     assert said == sorted(said, reverse=True)
+
+
+COMMIT = 0x5AC3A53C
+CHOSEN = 3
+"""Place, in a set, of words that somebody has chosen, as those of a name."""
+
+
+def begun(core, torn, seed):
+    """Return a board that has saved (1, 2, 3), and is to lose its power within the next save, at a step."""
+    board = Board(core, seed, WORDS)
+    board.start()
+    board.work()
+    assert board.save((1, 2, 3))
+    board.torn = torn
+    return board
+
+
+def lose(board, step, values):
+    """Let the power go at a step of a save; return whether there is such a step."""
+    board.cut = board.steps + step
+    try:
+        assert board.save(values)
+    except PowerLost:
+        return True
+    board.cut = None
+    return False
+
+
+@pytest.mark.parametrize("torn", Torn)
+@pytest.mark.parametrize("word", range(4))
+def test_chosen_words_of_which_one_is_torn_make_no_record(core, torn, word):
+    """But for a bit of one word they are a record; while that word is programmed this bit may be there still."""
+    seed = 0
+    for bit in [bit for bit in range(32) if forged()[word] >> bit & 1][:5]:
+        spoilt = forged()[word] & ~(1 << bit)
+        chosen = (*range(CHOSEN), *forged()[:word], spoilt, *forged()[word + 1 :], 5)
+        for step in [*range(2, 18), *(100 * [3 + CHOSEN + word])]:
+            seed += 1
+            board = begun(core, torn, seed)
+            lost = lose(board, step, chosen)
+            for _ in range(6):
+                assert board.start() in (((1, 2, 3), chosen) if lost else (chosen,)), (bit, step)
+            board.work()
+            settled = board.read()
+            assert settled in ((1, 2, 3), chosen)
+            assert board.save((4, 5))
+            assert board.start() == (4, 5), (bit, step)
+
+
+def completing(core, board, head, place):
+    """Return a set that completes a record whose head the set before has begun at a place, or None."""
+    trial = Board(core, 5, WORDS)
+    board.cells.copy_to(trial.cells)
+    trial.start()
+    trial.work()
+    dummy = tuple(0x1000 + i for i in range(7))
+    assert trial.save(dummy)
+    words = list(trial.cells.read[0])
+    words[place] = head
+    end = place + (head & 0xFFFF) + 2
+    if words[end : end + 2] != list(dummy[CHOSEN : CHOSEN + 2]):
+        return None
+    crc = zlib.crc32(np.array(words[place:end], np.uint32).tobytes())
+    return (*dummy[:CHOSEN], crc, COMMIT, *dummy[CHOSEN + 2 :])
+
+
+@pytest.mark.parametrize("torn", Torn)
+def test_chosen_words_of_two_interrupted_saves_make_no_record(core, torn):
+    """The first set has the head of a record, the second its CRC and commit word; both saves are cut, at each step."""
+    old, place, found = (1, 2, 3), 13 + 2 + CHOSEN, set()
+    for step in range(2, 13):
+        for reach in range(5, 14):
+            head = 0x47520000 | reach
+            first = (0xA, 0xB, 0xC, head, 0xD, 0xE, 0xF)
+            board = begun(core, torn, 31 * step + reach)
+            assert lose(board, step, first)
+            second = completing(core, board, head, place)
+            if second is None:
+                continue
+            found.add(step)
+            for again in range(16):
+                trial = Board(core, 100 * step + again, WORDS)
+                board.cells.copy_to(trial.cells)
+                trial.torn = torn
+                assert trial.start() in (old, first)
+                trial.work()
+                settled = trial.read()
+                assert settled in (old, first)
+                lost = lose(trial, again, second)
+                for _ in range(4):
+                    assert trial.start() in ((settled, second) if lost else (second,)), (step, reach, again)
+                trial.work()
+                for number in (100, 101):
+                    assert trial.save(a_set(number)), (step, reach, again)
+                    for _ in range(2):
+                        assert trial.start() == a_set(number), (step, reach, again)
+                    trial.work()
+    assert {7, 8, 9} <= found  # Before the step in which the head is programmed, in it, and behind it.
+
+
+def test_nothing_comes_back_of_a_slot_that_is_being_erased(core):
+    """The head of the first of two records is gone already; in what they hold is a third one."""
+    board = begun(core, Torn.NOT, 3)
+    place, reach = 13 + 2 + CHOSEN, 11
+    first = (0xA, 0xB, 0xC, 0x47520000 | reach, 77, 0xE, 0xF)
+    assert board.save(first)
+    second = completing(core, board, 0x47520000 | reach, place)
+    assert second is not None
+    assert board.save(second)
+    kept, lib, ffi = second, core[1], core[0]
+    for number in range(20):
+        values = ffi.new("uint32_t[]", a_set(number))
+        assert lib.store_save(board._store, values, len(a_set(number)))
+        while (step := lib.store_next(board._store)).kind == lib.STORE_PROGRAM:
+            board.cells.program(step.slot, step.index, step.value)
+        if step.kind == lib.STORE_ERASE and step.slot == 0:
+            break
+        if step.kind == lib.STORE_ERASE:
+            board.cells.erase(step.slot)
+            board.work()
+        kept = a_set(number)
+    assert step.kind == lib.STORE_ERASE
+    board.cells.read[0][13] = ONES
+    assert board.start() == kept
+    board.work()
+    assert board.save((1,))
+    assert board.start() == (1,)
