@@ -60,6 +60,12 @@ typedef struct board board_t;
 typedef enum { BOARD_OK = 0, BOARD_FAULT = 1 } board_status_t;
 enum { BOARD_CAN_LISTENS = 3 }; /* In place of a mailbox. */
 
+/* Both may be too early; INT64_MIN if nobody knows. */
+typedef struct {
+    int64_t due_ps;  /* Before then run does nothing but let the board's present go on. */
+    int64_t asks_ps; /* Before then the board asks nothing of the CAN bus, and its sync output stays. */
+} board_ahead_t;
+
 typedef struct {
     /* Run up to (not including) until_ps. It is exact: run(10 ms) equals ten run(1 ms). Returns BOARD_FAULT if the
      * board stopped for good; report() then says why. */
@@ -84,6 +90,9 @@ typedef struct {
     const char *(*report)(const board_t *board);
     /* Free the board; NULL does nothing. */
     void (*destroy)(board_t *board);
+    /* Returns what the board does next if nothing comes from outside. The converters of a board that tells look at no
+     * time beyond its present. NULL: nobody knows. */
+    board_ahead_t (*ahead)(const board_t *board);
 } board_operations_t;
 
 #endif

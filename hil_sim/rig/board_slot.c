@@ -65,6 +65,11 @@ static void on_pin_release(void *context, unsigned pin, board_pull_t pull, int64
               time_ps);
 }
 
+board_ahead_t board_slot_ahead(const board_slot_t *slot) {
+    const board_ahead_t unknown = {.due_ps = INT64_MIN, .asks_ps = INT64_MIN};
+    return slot->operations->ahead != NULL ? slot->operations->ahead(slot->instance) : unknown;
+}
+
 void board_slot_driver_fault(board_slot_t *slot, bool active, int64_t time_ps) {
     slot->operations->pin_in(slot->instance, BOARD_PIN_FAULT, !active, time_ps);
     slot->operations->pin_in(slot->instance, BOARD_PIN_FAULT_TOO, !active, time_ps);

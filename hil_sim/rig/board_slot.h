@@ -47,11 +47,13 @@ typedef struct {
     const board_operations_t *operations;
     board_status_t status; /* What its last step returned. */
     unsigned coils;
-    coil_t *coil; /* The first of its coils. */
-    bool senses;  /* sensing is in use. */
+    coil_t *coil;        /* The first of its coils, */
+    unsigned first_coil; /* and its number among all of the rig. */
+    bool senses;         /* sensing is in use. */
     sensing_t sensing;
     bool leads;                           /* Its sync output is on the wire. */
     bool sync_cut;                        /* Fault: its sync input is not connected. */
+    bool can_cut;                         /* Fault: it is not on the bus. */
     bool coil_hot[RIG_COILS], driver_hot; /* Faults. */
     bool pull_downs_lost;                 /* Fault: the pull-downs outside are not there. */
     uint64_t levels, driven;              /* By pin: its level, and whether the board drives it. */
@@ -70,6 +72,9 @@ typedef struct {
  * slot has. */
 void board_slot_init(board_slot_t *slot, unsigned number, uint64_t seed, const rig_board_config_t *config,
                      coil_t *coil);
+
+/* Returns what the board does next if nothing comes from outside. */
+board_ahead_t board_slot_ahead(const board_slot_t *slot);
 
 /* The drivers' fault wire is low (active) or pulled up. */
 void board_slot_driver_fault(board_slot_t *slot, bool active, int64_t time_ps);

@@ -196,6 +196,18 @@ static int64_t next_start(const can_bus_t *bus) {
     return start;
 }
 
+int64_t can_bus_heard(const can_bus_t *bus, int64_t asks_ps) {
+    int64_t start_ps = asks_ps;
+    for (size_t i = 0; i < bus->count; ++i) {
+        if (!bus->requests[i].frame.extended) {
+            return INT64_MIN;
+        }
+        start_ps = bus->requests[i].time_ps < start_ps ? bus->requests[i].time_ps : start_ps;
+    }
+    start_ps = start_ps < bus->idle_ps ? bus->idle_ps : start_ps;
+    return start_ps < INT64_MAX / 2 ? start_ps + bus->bit_ps * (CAN_SHORTEST_EXTENDED_BITS - 1) : start_ps;
+}
+
 static bool goes_before(const request_t *a, const request_t *b) {
     if (a->key != b->key) {
         return a->key < b->key;

@@ -81,6 +81,10 @@ void can_bus_corrupt(can_bus_t *bus, unsigned frames);
 /* Receivers have a frame so many picoseconds later than without transceivers and cable. */
 void can_bus_delay(can_bus_t *bus, int64_t delay_ps);
 
+/* Returns a time before which nobody hears of a transfer that has not been delivered yet, if nobody asks before
+ * asks_ps; INT64_MIN if a short frame with 11-bit identifier waits. */
+int64_t can_bus_heard(const can_bus_t *bus, int64_t asks_ps);
+
 /* Start every frame that starts before until_ps, and deliver it (its end may lie later). */
 void can_bus_run(can_bus_t *bus, int64_t until_ps, can_deliver_t deliver, void *context);
 

@@ -1,164 +1,154 @@
 #include "rig/lockstep.h"
 
-#include <limits.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "rig/array.h"
 #include "rig/lockstep_internal.h"
 
-#define SYNC_TYPE       1u /* Type of the message SYNC, in the bits from SYNC_TYPE_SHIFT on (framing.md). */
-#define SYNC_TYPE_SHIFT 24
-#define WIRE_SILENT_PS  INT64_C(210000000000) /* Time without an edge that is longer than any sync period. */
+#define TASKS_MAX 64 /* A task of the pool has more boards than one if there are more. */
 
-/* ---- Between steps: the wires ---- */
+/* ---- A step ---- */
 
-/* Any board may drive the wire high: it is the sum of the boards' outputs, as diodes make it. */
-static void serve_sync_wire(rig_t *rig) {
-    for (unsigned source = 0; source < rig->slots; ++source) {
-        board_slot_t *const driver = &rig->slot[source];
-        for (size_t i = 0; driver->leads && i < driver->sync_count; ++i) {
-            const rig_pin_change_t change = driver->sync_changes[i];
-            const bool was_high = rig->wire_drivers > 0;
-            rig->wire_drivers += change.level ? 1u : rig->wire_drivers > 0 ? UINT_MAX : 0u;
-            if (was_high == (rig->wire_drivers > 0)) {
-                continue;
-            }
-            if (change.level) {
-                rig->edges_ps = array_reserve(rig->edges_ps, &rig->edge_capacity, rig->edge_count + 1,
-                                              sizeof *rig->edges_ps);
-                rig->edges_ps[rig->edge_count++] = change.time_ps;
-            }
-            for (unsigned board = 0; board < rig->slots; ++board) {
-                board_slot_t *const slot = &rig->slot[board];
-                if (board != source && !slot->sync_cut) {
-                    slot->operations->pin_in(slot->instance, BOARD_PIN_SYNC_IN, change.level, change.time_ps);
-                }
-            }
-        }
-        driver->sync_count = 0;
-    }
-}
-
-/* Lets a beacon that sends SYNC run ahead in place of one that has driven the wire no more: it begins to lead. The one
- * before stands still for a quantum, as it is ahead by that. */
-static void follow_leader(rig_t *rig, unsigned board, const board_frame_t *frame, int64_t time_ps) {
-    const bool sync = frame->extended && frame->id >> SYNC_TYPE_SHIFT == SYNC_TYPE;
-    const int64_t last_ps = rig->edge_count > 0 ? rig->edges_ps[rig->edge_count - 1] : INT64_MIN / 2;
-    if (sync && rig->slot[board].leads && board != rig->leader && time_ps - last_ps > WIRE_SILENT_PS) {
-        rig->slot[rig->leader].lead_ps = RIG_QUANTUM_PS;
-        rig->slot[board].lead_ps = 2 * (int64_t)RIG_QUANTUM_PS;
-        rig->leader = board;
-    }
-}
-
-static void deliver(void *context, const can_transfer_t *transfer) {
-    rig_t *const rig = context;
-    for (unsigned board = 0; board < rig->slots; ++board) {
-        board_slot_t *const slot = &rig->slot[board];
-        if (transfer->destroyed && slot->operations->can_error != NULL) {
-            slot->operations->can_error(slot->instance,
-                                        board == transfer->node ? transfer->mailbox : (unsigned)BOARD_CAN_LISTENS,
-                                        transfer->end_ps);
-        } else if (board == transfer->node) {
-            slot->operations->can_sent(slot->instance, transfer->mailbox, transfer->acknowledged, transfer->end_ps);
-        } else if (transfer->acknowledged) {
-            slot->operations->can_in(slot->instance, &transfer->frame, transfer->valid_ps);
-        }
-    }
-    if (transfer->destroyed) {
-        if (transfer->node == rig->slots) { /* The host's adapter tries again. */
-            can_bus_request(rig->bus, transfer->node, transfer->mailbox, &transfer->frame, transfer->end_ps);
-        }
+/* Runs a board up to an end of a quantum of the rig, unless it has nothing to do until then. */
+static void run_board(rig_t *rig, unsigned board, int64_t end_ps) {
+    board_slot_t *const slot = &rig->slot[board];
+    const int64_t until_ps = end_ps + slot->lead_ps;
+    if (until_ps <= 0 || until_ps <= rig->ahead[board].due_ps) {
         return;
     }
-    if (rig->config.host_on_can) {
-        if (rig->transfer_first > 0 && rig->transfer_first + rig->transfer_count == rig->transfer_capacity) {
-            memmove(rig->transfers, rig->transfers + rig->transfer_first, rig->transfer_count * sizeof *rig->transfers);
-            rig->transfer_first = 0;
+    if (rig->staged) {
+        for (unsigned i = 0; i < slot->coils; ++i) {
+            coil_forget(&slot->coil[i], rig->begin_ps);
         }
-        const size_t end = rig->transfer_first + rig->transfer_count;
-        rig->transfers = array_reserve(rig->transfers, &rig->transfer_capacity, end + 1, sizeof *rig->transfers);
-        rig->transfers[end] = *transfer;
-        ++rig->transfer_count;
+    }
+    slot->status = slot->operations->run(slot->instance, until_ps);
+    rig->ahead[board] = board_slot_ahead(slot);
+    rig->asked[board] = slot->request_count > 0;
+    rig->stuck[board] = slot->status != BOARD_OK;
+    for (unsigned i = 0; i < slot->coils; ++i) {
+        coil_t *const coil = &slot->coil[i];
+        rig->stuck[board] = rig->stuck[board] || coil->changes > COIL_CHANGES_MAX;
+        rig->latest[slot->first_coil + i] = coil->head;
+        coil->changes = 0;
+    }
+    if (!slot->leads) {
+        slot->sync_count = 0;
     }
 }
 
-static void serve_bus(rig_t *rig) {
-    for (unsigned board = 0; board < rig->slots; ++board) {
-        board_slot_t *const slot = &rig->slot[board];
-        for (size_t i = 0; i < slot->request_count; ++i) {
-            const board_slot_request_t *const request = &slot->requests[i];
-            if (request->abort) {
-                can_bus_abort(rig->bus, board, request->mailbox, request->time_ps);
-            } else {
-                follow_leader(rig, board, &request->frame, request->time_ps);
-                can_bus_request(rig->bus, board, request->mailbox, &request->frame, request->time_ps);
-            }
+/* A task of the pool: some boards' step. */
+static void run_boards(void *context, unsigned task) {
+    rig_t *const rig = context;
+    const unsigned first = task * rig->boards_a_task, end = first + rig->boards_a_task;
+    for (unsigned board = first; board < end && board < rig->slots; ++board) {
+        if (!rig->staged || (board != RIG_SENSOR && !rig->slot[board].leads)) {
+            run_board(rig, board, rig->loose[board] ? rig->loose_ps : rig->end_ps);
         }
-        slot->request_count = 0;
     }
-    can_bus_run(rig->bus, rig->now_ps, deliver, rig);
 }
 
-/* Only what arrives in the next quantum is handed over, so that a board never holds a long list of bytes to come. */
-static void serve_serial(rig_t *rig) {
-    for (unsigned board = 0; board < rig->slots; ++board) {
-        board_slot_t *const slot = &rig->slot[board];
-        uint8_t byte;
-        int64_t end_ps;
-        while (serial_line_next(&slot->serial, rig->now_ps + slot->lead_ps + RIG_QUANTUM_PS, &byte, &end_ps)) {
-            slot->operations->uart_in(slot->instance, BOARD_SERIAL_PORT, byte, slot->serial.baud, end_ps);
+/* Those that may drive the sync wire run first, a quantum at a time, since they hear each other. */
+static void run_leaders(rig_t *rig) {
+    while (rig->now_ps < rig->end_ps) {
+        for (unsigned i = 0; i < rig->leaders; ++i) {
+            run_board(rig, rig->leading[i], rig->now_ps + RIG_QUANTUM_PS);
         }
+        rig->now_ps += RIG_QUANTUM_PS;
+        wires_serve_sync(rig);
     }
+    rig->now_ps = rig->begin_ps;
+}
+
+/* What other boards than a coil's own see of it in the next step. */
+static void show_coils(rig_t *rig) {
+    memcpy(rig->coils.head, rig->latest, rig->coils.count * sizeof *rig->latest);
+    ++rig->coils.shown;
+}
+
+/* Returns whether the pool has something to do in a step after the leaders. */
+static bool others_run(rig_t *rig) {
+    if (rig->loose_count > 0 && rig->loose_ps < rig->end_ps) {
+        rig->loose_ps = look_ahead_loose(rig);
+        return true;
+    }
+    return rig->loose_count + rig->leaders + 1u < rig->slots;
+}
+
+static void run_step(rig_t *rig) {
+    rig->begin_ps = rig->now_ps;
+    rig->end_ps = rig->now_ps + look_ahead_quanta(rig) * (int64_t)RIG_QUANTUM_PS;
+    rig->staged = rig->loose_count > 0 || rig->end_ps > rig->now_ps + RIG_QUANTUM_PS;
+    wires_serve_serial(rig);
+    if (!rig->staged) {
+        thread_pool_step(&rig->pool);
+        rig->now_ps = rig->end_ps;
+        wires_serve_sync(rig);
+    } else {
+        run_leaders(rig);
+        if (others_run(rig)) {
+            thread_pool_step(&rig->pool);
+        }
+        show_coils(rig);
+        run_board(rig, RIG_SENSOR, rig->end_ps);
+        rig->now_ps = rig->end_ps;
+    }
+    wires_serve_bus(rig);
 }
 
 /* Did all boards get through the step? Those that look at coils in the next step see what has happened up to now. */
 static rig_status_t check_boards(rig_t *rig) {
-    coils_t *const coils = &rig->coils;
     for (unsigned board = 0; board < rig->slots; ++board) {
-        const board_slot_t *const slot = &rig->slot[board];
-        rig->stopped = board;
-        if (slot->status != BOARD_OK) {
-            return RIG_BOARD_STOPPED;
-        }
-        for (unsigned i = 0; i < slot->coils; ++i) {
-            if (slot->coil[i].changes > COIL_CHANGES_MAX) {
-                return RIG_DRIVER_TOO_FAST;
-            }
+        if (rig->stuck[board]) {
+            rig->stopped = board;
+            return rig->slot[board].status != BOARD_OK ? RIG_BOARD_STOPPED : RIG_DRIVER_TOO_FAST;
         }
     }
-    for (unsigned i = 0; i < coils->count; ++i) {
-        coils->coil[i].changes = 0;
-        coils->head[i] = coils->coil[i].head;
-    }
+    show_coils(rig);
     return RIG_OK;
 }
 
 /* ---- Running ---- */
 
-/* A task of the pool: one board's quantum. */
-static void run_board(void *context, unsigned board) {
-    const rig_t *const rig = context;
-    board_slot_t *const slot = &rig->slot[board];
-    const int64_t until_ps = rig->now_ps + RIG_QUANTUM_PS + slot->lead_ps;
-    if (until_ps > 0) {
-        slot->status = slot->operations->run(slot->instance, until_ps);
+/* Between two runs anybody may have told the boards anything. */
+static void ask_boards(rig_t *rig) {
+    rig->loose_count = 0;
+    rig->loose_ps = rig->now_ps;
+    for (unsigned board = 0; board < rig->slots; ++board) {
+        const board_slot_t *const slot = &rig->slot[board];
+        rig->ahead[board] = board_slot_ahead(slot);
+        rig->loose[board] = slot->can_cut && !slot->leads && !slot->senses && slot->operations->ahead != NULL;
+        rig->loose_count += rig->loose[board];
+    }
+    if (rig->others_sense) {
+        rig->loose_count = 0;
+        memset(rig->loose, 0, rig->slots * sizeof *rig->loose);
+    }
+}
+
+/* Boards that had nothing to do come to the present. */
+static void gather_boards(rig_t *rig) {
+    for (unsigned board = 0; board < rig->slots; ++board) {
+        board_slot_t *const slot = &rig->slot[board];
+        const int64_t present_ps = rig->now_ps + slot->lead_ps;
+        if (present_ps > 0 && present_ps <= rig->ahead[board].due_ps) {
+            slot->status = slot->operations->run(slot->instance, present_ps);
+        }
     }
 }
 
 rig_status_t rig_run(rig_t *rig, int64_t until_ps) {
     rig_status_t status = RIG_OK;
+    rig->until_ps = until_ps;
+    ++rig->coils.shown; /* Somebody may have done something to a coil. */
+    ask_boards(rig);
     thread_pool_begin(&rig->pool);
     while (status == RIG_OK && rig->now_ps + RIG_QUANTUM_PS <= until_ps) {
-        serve_serial(rig);
-        thread_pool_step(&rig->pool);
-        rig->now_ps += RIG_QUANTUM_PS;
-        serve_sync_wire(rig);
-        serve_bus(rig);
+        run_step(rig);
         status = check_boards(rig);
     }
     thread_pool_end(&rig->pool);
+    gather_boards(rig);
     return status;
 }
 
@@ -194,12 +184,17 @@ static bool take_slots(rig_t *rig, const rig_config_t *config) {
                         : board == config->sync_master ? 2 * (int64_t)RIG_QUANTUM_PS
                                                        : RIG_QUANTUM_PS;
         slot->leads = board == config->sync_master || own->leads;
+        slot->first_coil = first;
+        if (slot->leads) {
+            rig->leading[rig->leaders++] = board;
+        }
         serial_line_init(&slot->serial, config->baud);
         if (own->senses) {
             good = sensing_init(&slot->sensing, &rig->coils, &rig->config.ambient, &own->front_end, config->seed,
                                 board) &&
                    good;
             slot->senses = true;
+            rig->others_sense |= board != RIG_SENSOR;
             slot->sensing.own_first = first;
             slot->sensing.own_count = own->coils;
         }
@@ -226,10 +221,21 @@ rig_t *rig_create(const rig_config_t *config) {
     }
     rig->coils.coil = calloc(rig->coils.count + 1u, sizeof *rig->coils.coil);
     rig->coils.head = calloc(rig->coils.count + 1u, sizeof *rig->coils.head);
+    rig->latest = calloc(rig->coils.count + 1u, sizeof *rig->latest);
     rig->slot = calloc(rig->slots, sizeof *rig->slot);
+    rig->ahead = calloc(rig->slots, sizeof *rig->ahead);
+    rig->leading = calloc(rig->slots, sizeof *rig->leading);
+    rig->asked = calloc(rig->slots, sizeof *rig->asked);
+    rig->loose = calloc(rig->slots, sizeof *rig->loose);
+    rig->written = calloc(rig->slots, sizeof *rig->written);
+    rig->stuck = calloc(rig->slots, sizeof *rig->stuck);
+    rig->boards_a_task = (rig->slots + TASKS_MAX - 1u) / TASKS_MAX;
     rig->bus = can_bus_create(rig->slots + 1, config->can_bits_per_second);
-    if (rig->coils.coil == NULL || rig->coils.head == NULL || rig->slot == NULL || rig->bus == NULL ||
-        !take_slots(rig, config) || !thread_pool_init(&rig->pool, config->threads, rig->slots, run_board, rig)) {
+    const unsigned tasks = (rig->slots + rig->boards_a_task - 1u) / rig->boards_a_task;
+    if (rig->coils.coil == NULL || rig->coils.head == NULL || rig->latest == NULL || rig->slot == NULL ||
+        rig->ahead == NULL || rig->leading == NULL || rig->asked == NULL || rig->loose == NULL ||
+        rig->written == NULL || rig->stuck == NULL || rig->bus == NULL || !take_slots(rig, config) ||
+        !thread_pool_init(&rig->pool, config->threads, tasks, run_boards, rig)) {
         rig_destroy(rig);
         return NULL;
     }
@@ -249,6 +255,13 @@ void rig_destroy(rig_t *rig) {
     }
     can_bus_destroy(rig->bus);
     free(rig->slot);
+    free(rig->ahead);
+    free(rig->leading);
+    free(rig->asked);
+    free(rig->loose);
+    free(rig->written);
+    free(rig->stuck);
+    free(rig->latest);
     free(rig->coils.coil);
     free(rig->coils.head);
     free(rig->transfers);

@@ -7,6 +7,13 @@
  *     the sync master two quanta ahead of the sensor, the other beacons one quantum ahead, the sensor at the rig's
  *       present.
  *
+ * A step has more quanta than one where the boards tell what they do next (board_edge.h) and nothing that they do can
+ * reach another before its end: as long as a frame is on the bus, and no longer than a shortest frame after the first
+ * moment at which a board may ask for one. Those that may drive the sync wire then go first, the sensor last. Beacons
+ * that are not on the bus run further still, up to the sync wire's next edge: each of them goes through many chips
+ * while it is in the processor's cache. What happens is the same, whatever the number of quanta; only if a board stops
+ * have the others gone on.
+ *
  * Nothing passes between boards inside a step; between steps, in a fixed order, the wires are served. So the result
  * depends neither on threads nor on slices, and it is causal and exact:
  *   - an edge of the master's sync wire reaches a board that has not yet lived through that moment. So does one of a
@@ -77,7 +84,8 @@ typedef enum {
     RIG_FAULT_COIL_HOT = 8,     /* The coil's thermistor is at 200 degC. */
     RIG_FAULT_DRIVER_HOT = 9,   /* The driver's is. */
     /* The pull-downs at the board's enable and sync output are not connected: released, these pins float. */
-    RIG_FAULT_PULL_DOWNS_LOST = 10
+    RIG_FAULT_PULL_DOWNS_LOST = 10,
+    RIG_FAULT_CAN_CUT = 11 /* The board is not on the CAN bus: what it asks of it waits. */
 } rig_fault_t;
 
 /* A rig without boards. Returns NULL if the configuration breaks a rule above or there is no memory. */

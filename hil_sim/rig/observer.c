@@ -10,6 +10,7 @@ size_t rig_serial_read(rig_t *rig, unsigned board, uint8_t *bytes, size_t capaci
 void rig_serial_write(rig_t *rig, unsigned board, const uint8_t *bytes, size_t count) {
     board_slot_t *const slot = &rig->slot[board];
     serial_line_write(&slot->serial, bytes, count, rig_now(rig) + slot->lead_ps);
+    rig->written[board] = rig->written[board] || count > 0;
 }
 
 bool rig_can_read(rig_t *rig, can_transfer_t *transfer) {
@@ -123,6 +124,10 @@ void rig_fault(rig_t *rig, unsigned board, unsigned coil, rig_fault_t fault, boo
     case RIG_FAULT_SYNC_WIRE_CUT:
         slot->sync_cut = active;
         slot->operations->pin_in(slot->instance, BOARD_PIN_SYNC_IN, false, time_ps);
+        break;
+    case RIG_FAULT_CAN_CUT:
+        slot->can_cut = active;
+        can_bus_join(rig->bus, board, active ? INT64_MAX : rig_now(rig));
         break;
     case RIG_FAULT_PULL_DOWNS_LOST:
         board_slot_lose_pull_downs(slot, active, time_ps);

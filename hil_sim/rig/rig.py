@@ -41,7 +41,7 @@ LIBRARY = "libgf_rig.so"
 SENSOR = 0
 FAULTS = (
     *("driver", "coil_open", "sense_shorted", "sync_wire_cut", "coil_shorted", "driver_runaway"),
-    *("driver_stuck", "sense_held", "coil_hot", "driver_hot", "pull_downs_lost"),
+    *("driver_stuck", "sense_held", "coil_hot", "driver_hot", "pull_downs_lost", "can_cut"),
 )
 """The faults that a board can be given, in the order of ``rig_fault_t``."""
 CHIP_PS = 16422 / 168e6 * 1e12

@@ -64,3 +64,7 @@ bool serial_line_next(serial_line_t *line, int64_t until_ps, uint8_t *byte, int6
     line->next_ps += line->byte_ps;
     return true;
 }
+
+size_t serial_line_waiting(const serial_line_t *line) {
+    return line->to_board.count;
+}

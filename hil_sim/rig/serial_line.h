@@ -44,4 +44,7 @@ void serial_line_write(serial_line_t *line, const uint8_t *bytes, size_t count, 
  */
 bool serial_line_next(serial_line_t *line, int64_t until_ps, uint8_t *byte, int64_t *end_ps);
 
+/* Returns how many bytes wait to be sent to the board. */
+size_t serial_line_waiting(const serial_line_t *line);
+
 #endif

@@ -1,6 +1,7 @@
 #include "world/coil.h"
 
 #include <math.h>
+#include <string.h>
 
 #include "world/coil_law.h"
 #include "world/noise.h"
@@ -9,19 +10,27 @@ static const double sense_middle_V = 1.65;
 static const double copper_per_K = 0.00393, copper_degC = 20.0;
 static const double refresh_s = 0.01; /* A segment of a coil that warms up is not looked at for longer. */
 
+/* For coil_view(): exp(-gone_lags) is below gone_share, and last_bit is a quarter of the last bit of 1. */
+static const double gone_lags = 56.0, gone_share = 0x1p-80, last_bit = 0x1p-54;
+static const double small_share = 0x1p-40;
+
 static double seconds(int64_t time_ps) {
     return (double)time_ps * 1e-12;
 }
 
 /* ---- Segments ---- */
 
-/* The segment in force at a time, no later than number head. Before the oldest, the oldest. */
-static const coil_segment_t *segment_at(const coil_t *coil, uint64_t head, int64_t time_ps) {
+/* The number of the segment in force at a time, no later than number head. Before the oldest, the oldest. */
+static uint64_t number_at(const coil_t *coil, uint64_t head, int64_t time_ps) {
     uint64_t number = head;
-    while (number > 0 && head - number < COIL_HISTORY - 1 && coil->segments[number % COIL_HISTORY].start_ps > time_ps) {
+    while (number > 0 && head - number < COIL_HISTORY - 1 && coil->briefs[number % COIL_HISTORY].start_ps > time_ps) {
         --number;
     }
-    return &coil->segments[number % COIL_HISTORY];
+    return number;
+}
+
+static const coil_segment_t *segment_at(const coil_t *coil, uint64_t head, int64_t time_ps) {
+    return &coil->segments[number_at(coil, head, time_ps) % COIL_HISTORY];
 }
 
 static double elapsed_in(const coil_segment_t *segment, int64_t time_ps) {
@@ -163,6 +172,18 @@ static void keep_flux(const coil_t *coil, const coil_segment_t *before, const co
     }
 }
 
+/* Makes a segment the latest, or puts it in the latest's place. */
+static void keep_segment(coil_t *coil, const coil_segment_t *segment) {
+    const coil_piece_t *const last = &segment->piece[segment->count - 1u];
+    coil->briefs[coil->head % COIL_HISTORY] = (coil_brief_t){
+        .start_ps = segment->start_ps,
+        .since_s = last->modes > 0 ? INFINITY : last->since_s, /* INFINITY: it is not simple. */
+        .limit_A = last->limit_A,
+        .rest_A = coil->config.lag_s > 0.0 ? last->lagged_A - last->limit_A : 0.0,
+    };
+    coil->segments[coil->head % COIL_HISTORY] = *segment;
+}
+
 /* The inputs have changed: the current goes on from where it is. dead_s is how long the bridge is off because of it. */
 static void begin_segment(coil_t *coil, double dead_s, int64_t time_ps) {
     const coil_segment_t *const latest = &coil->segments[coil->head % COIL_HISTORY];
@@ -189,7 +210,7 @@ static void begin_segment(coil_t *coil, double dead_s, int64_t time_ps) {
         ++coil->head;
         ++coil->changes;
     }
-    coil->segments[coil->head % COIL_HISTORY] = next;
+    keep_segment(coil, &next);
 }
 
 /* ---- What drives it ---- */
@@ -201,9 +222,10 @@ void coil_init(coil_t *coil, const coil_config_t *config) {
         coil->config.lag_s = slow_s * (1.0 + 1e-6);
     }
     coil->sense_V = sense_middle_V;
-    coil_segment_t *const rest = &coil->segments[0];
-    take_circuit(coil, rest);
-    go_to(coil, rest, 0.0, 0.0);
+    coil_segment_t rest = {.start_ps = 0};
+    take_circuit(coil, &rest);
+    go_to(coil, &rest, 0.0, 0.0);
+    keep_segment(coil, &rest);
 }
 
 void coil_input(coil_t *coil, unsigned number, bool level, int64_t time_ps) {
@@ -244,6 +266,20 @@ void coil_fault(coil_t *coil, coil_fault_t fault, bool active, int64_t time_ps) 
     }
 }
 
+void coil_forget(coil_t *coil, int64_t before_ps) {
+    enum { FEW = 4 }; /* Segments that are not worth it. */
+    if (coil->head < FEW) {
+        return;
+    }
+    const size_t place = number_at(coil, coil->head, before_ps) % COIL_HISTORY, head = coil->head % COIL_HISTORY;
+    const size_t kept = (head + COIL_HISTORY - place) % COIL_HISTORY + 1u;
+    if (place >= kept && head >= place) {
+        memcpy(coil->segments, coil->segments + place, kept * sizeof *coil->segments);
+        memcpy(coil->briefs, coil->briefs + place, kept * sizeof *coil->briefs);
+        coil->head = kept - 1u;
+    }
+}
+
 /* ---- What is seen of it ---- */
 
 double coil_current(const coil_t *coil, int64_t time_ps) {
@@ -265,6 +301,33 @@ double coil_lagged(const coil_t *coil, uint64_t head, int64_t time_ps) {
     const double elapsed = elapsed_in(segment, time_ps);
     const coil_piece_t *const piece = piece_at(segment, elapsed);
     return coil_law_lagged(segment, piece, coil->config.lag_s, elapsed - piece->since_s);
+}
+
+/* Returns whether a segment is in force at a time, looking no further than number head. */
+static bool in_force(const coil_t *coil, uint64_t head, uint64_t number, int64_t time_ps) {
+    return number <= head && head - number < COIL_HISTORY - 1 &&
+           coil->briefs[number % COIL_HISTORY].start_ps <= time_ps &&
+           (number == head || coil->briefs[(number + 1) % COIL_HISTORY].start_ps > time_ps);
+}
+
+coil_view_t coil_view(const coil_t *coil, uint64_t head, uint64_t guess, int64_t time_ps) {
+    const uint64_t number = in_force(coil, head, guess, time_ps)       ? guess
+                            : in_force(coil, head, guess + 1, time_ps) ? guess + 1
+                                                                       : number_at(coil, head, time_ps);
+    const coil_brief_t *const brief = &coil->briefs[number % COIL_HISTORY];
+    const double elapsed = time_ps > brief->start_ps ? seconds(time_ps - brief->start_ps) : 0.0;
+    const double age_s = elapsed - brief->since_s, lag_s = coil->config.lag_s;
+    coil_view_t view = {.limit_A = brief->limit_A, .until_ps = time_ps, .number = number};
+    if (!(age_s >= 0.0)) {
+        return view;
+    }
+    /* A rest that is smaller than half of the limit's last bit by far changes nothing. */
+    const bool gone = age_s > gone_lags * lag_s && fabs(brief->rest_A) * gone_share < fabs(brief->limit_A) * last_bit;
+    view.rest_A = brief->rest_A == 0.0 || gone ? 0.0 : brief->rest_A * exp(-age_s / lag_s);
+    if (fabs(view.rest_A) <= small_share * fabs(brief->limit_A)) {
+        view.until_ps = number == head ? INT64_MAX : coil->briefs[(number + 1) % COIL_HISTORY].start_ps;
+    }
+    return view;
 }
 
 double coil_sense(coil_t *coil, uint64_t seed, uint64_t stream, int64_t time_ps) {

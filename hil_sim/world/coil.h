@@ -38,7 +38,7 @@
  * closed form.
  *
  * One thread changes a coil, another may look at its past at the same time: the reader uses a head that it got before
- * (coil_t.head), and segments are not rewritten as long as no more than COIL_CHANGES_MAX changes happen in one quantum
+ * (coil_t.head), and segments are not rewritten as long as no more than COIL_CHANGES_MAX changes happen in one step
  * (lockstep.h); `changes` counts them.
  *
  * Times are picoseconds of virtual time and must not decrease from change to change. Each call is bounded: one exp or
@@ -90,16 +90,25 @@ typedef enum {
     COIL_FAULTS = 6
 } coil_fault_t;
 
+/* What a segment ends with, apart from the rest and short, for those who look at many coils: from since_ps on the
+ * lagged current is limit_A + rest_A exp(-(time - since_ps) / lag), if simple. */
+typedef struct {
+    int64_t start_ps; /* The segment's. */
+    double since_s;   /* From the segment's start on. */
+    double limit_A, rest_A;
+} coil_brief_t;
+
 typedef struct {
     coil_config_t config;
     bool input1, input2, enabled;
     bool fault[COIL_FAULTS];
     double supply_V; /* The supply's present voltage without load. */
     double set_point_A;
-    double temperature_degC; /* As of the latest segment's start. */
-    double sense_V;          /* What was last seen at the sense output. */
-    uint64_t head;           /* Number of the latest segment. */
-    unsigned changes;        /* Segments since it was last set to 0. */
+    double temperature_degC;           /* As of the latest segment's start. */
+    double sense_V;                    /* What was last seen at the sense output. */
+    uint64_t head;                     /* Number of the latest segment. */
+    unsigned changes;                  /* Segments since it was last set to 0. */
+    coil_brief_t briefs[COIL_HISTORY]; /* What the segments end with. */
     coil_segment_t segments[COIL_HISTORY];
 } coil_t;
 
@@ -113,12 +122,28 @@ void coil_reference(coil_t *coil, double volts, int64_t time_ps);
 void coil_supply(coil_t *coil, double volts, int64_t time_ps);
 void coil_fault(coil_t *coil, coil_fault_t fault, bool active, int64_t time_ps);
 
+/* Let go of what was before a time, at which nobody looks any more, so that the latest segments stay together in
+ * memory. Segments get new numbers; nobody may look at the coil meanwhile. */
+void coil_forget(coil_t *coil, int64_t before_ps);
+
 /* Returns the current at a time, ampere, as seen from the present; times after the last change are included. */
 double coil_current(const coil_t *coil, int64_t time_ps);
 
 /* Returns the lagged current at a time not before the history, ampere, looking no further than segment head; with
  * shorted turns that of the field. */
 double coil_lagged(const coil_t *coil, uint64_t head, int64_t time_ps);
+
+/* A view of the lagged current from a time t on: limit_A + rest_A exp(-(time - t) / lag) until until_ps, with the rest
+ * below a millionth of a millionth of the limit. If it has another form, until_ps is t. number is the segment's. */
+typedef struct {
+    double limit_A, rest_A;
+    int64_t until_ps;
+    uint64_t number;
+} coil_view_t;
+
+/* Returns the view from a time on, not before the history, looking no further than segment head. It is found fast if
+ * guess is the number of its segment, or of the one before. */
+coil_view_t coil_view(const coil_t *coil, uint64_t head, uint64_t guess, int64_t time_ps);
 
 /* Returns the current in the shorted turns at a time, ampere, as coil_current does; 0 without them. */
 double coil_second(const coil_t *coil, int64_t time_ps);

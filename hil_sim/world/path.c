@@ -1,6 +1,6 @@
 #include "world/path.h"
 
-void path_evaluate(const path_t *path, int64_t time_ps, double *values) {
+size_t path_interval(const path_t *path, int64_t time_ps, double *x) {
     int64_t interval = (time_ps - path->start_ps) / path->interval_ps;
     if (interval < 0) {
         interval = 0;
@@ -8,9 +8,19 @@ void path_evaluate(const path_t *path, int64_t time_ps, double *values) {
     if (interval >= (int64_t)path->intervals) {
         interval = (int64_t)path->intervals - 1;
     }
-    const double x = (double)(time_ps - path->start_ps - interval * path->interval_ps) / (double)path->interval_ps;
-    const double *c = path->coefficients + (size_t)interval * path->columns * 4u;
-    for (size_t column = 0; column < path->columns; ++column, c += 4) {
+    *x = (double)(time_ps - path->start_ps - interval * path->interval_ps) / (double)path->interval_ps;
+    return (size_t)interval;
+}
+
+void path_columns(const double *coefficients, size_t columns, double x, double *values) {
+    const double *c = coefficients;
+    for (size_t column = 0; column < columns; ++column, c += 4) {
         values[column] = ((c[3] * x + c[2]) * x + c[1]) * x + c[0];
     }
+}
+
+void path_evaluate(const path_t *path, int64_t time_ps, double *values) {
+    double x;
+    const size_t interval = path_interval(path, time_ps, &x);
+    path_columns(path->coefficients + interval * path->columns * 4u, path->columns, x, values);
 }

@@ -21,6 +21,12 @@ typedef struct {
     const double *coefficients; /* [interval][column][4]: c0..c3; the caller's. */
 } path_t;
 
+/* Returns the interval that a time is in, or the one that goes on there; *x is where in it. */
+size_t path_interval(const path_t *path, int64_t time_ps, double *x);
+
+/* The values of some columns of one interval. */
+void path_columns(const double *coefficients, size_t columns, double x, double *values);
+
 /* The values of every column at a time. Time of a call: 3 multiplications a column. */
 void path_evaluate(const path_t *path, int64_t time_ps, double *values);
 

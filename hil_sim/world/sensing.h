@@ -11,6 +11,9 @@
  * further than coils_t.head, which changes only while no board runs, and beyond that the coil's law goes on as if its
  * inputs stayed (coil.h). The coils of the sensor's own board are seen as they are.
  *
+ * Bursts of conversions come close together: what a coil does meanwhile is looked up at the first (coil_view()), and
+ * again when coils_t.shown has changed.
+ *
  * One thread uses a sensing_t; any number of them look at the same coils_t. Time of a call: at a new time one path, one
  * ambient field and a lagged current a coil; at the same time as before (the three axes are converted at once) nothing
  * of that; then two normal numbers.
@@ -30,17 +33,26 @@ typedef struct {
     unsigned count;
     coil_t *coil;
     uint64_t *head; /* Latest segment of each coil that others may see. */
+    uint64_t shown; /* Counts up when heads change, or coils do on which no board runs. */
 } coils_t;
+
+/* Three components and a zero, which the processor takes together. */
+typedef double sensing_four_t __attribute__((vector_size(32)));
 
 typedef struct {
     const coils_t *coils;
     unsigned own_first, own_count; /* The coils of the sensor's own board. */
     const ambient_t *ambient;
     front_end_t front_end;
-    path_t path;
-    double *coefficients;  /* The path's, owned. */
-    double *values;        /* Scratch: the values of the path's columns. */
-    int64_t field_time_ps; /* The time that field_T belongs to. */
+    path_t path; /* Without coefficients. */
+    sensing_four_t
+        *coefficients;        /* An interval's after the other's: the cubics of the coils, then those of the rest. */
+    double *lagged_A;         /* Scratch: the lagged current of each coil. */
+    coil_view_t *view;        /* Views of the coils, */
+    uint64_t view_shown;      /* of what was shown then, */
+    int64_t view_ps, look_ps; /* from this time on, and the latest look at them. */
+    double view_lag_s;        /* The lag of those that have a rest. */
+    int64_t field_time_ps;    /* The time that field_T belongs to. */
     double field_T[3];
 } sensing_t;
 
@@ -55,7 +67,7 @@ void sensing_free(sensing_t *sensing);
 bool sensing_set_path(sensing_t *sensing, const path_t *path);
 
 /* The field in the sensor's frame, before the front end. A path must be set. */
-void sensing_field(const sensing_t *sensing, int64_t time_ps, double field_T[3]);
+void sensing_field(sensing_t *sensing, int64_t time_ps, double field_T[3]);
 /* Returns the volts at the pin of an axis (0..2). Times of one axis must not decrease. */
 double sensing_volts(sensing_t *sensing, unsigned axis, int64_t time_ps);
 

@@ -51,7 +51,6 @@ static void byte_sent(hal_t *hal) {
 /* ---- Inputs ---- */
 
 static void input_add(hal_t *hal, input_t input) {
-    hal->due_ps = INT64_MIN;
     if (hal->inputs_head + hal->inputs_count == hal->inputs_capacity) {
         if (hal->inputs_head > 0) {
             memmove(hal->inputs, hal->inputs + hal->inputs_head, hal->inputs_count * sizeof *hal->inputs);
@@ -76,6 +75,7 @@ static void input_add(hal_t *hal, input_t input) {
     }
     hal->inputs[at] = input;
     hal->inputs_count++;
+    hal->due_ps = input.time_ps < hal->due_ps ? input.time_ps : hal->due_ps;
 }
 
 static void pin_changed(hal_t *hal, uint32_t pin, bool level) {
@@ -225,6 +225,7 @@ static void restart(board_t *board, hal_reset_cause_t cause) {
     hal->reset.counts[cause]++;
     hal->reset.uptime_s = (uint32_t)(hal_microseconds(hal) / 1000000u);
     hal->power_on_ps = hal->now_ps;
+    hal->tick_ps = INT64_MIN;
     memset(&hal->engine, 0, sizeof hal->engine);
     memset(&hal->transmitter, 0, sizeof hal->transmitter);
     memset(&hal->counters, 0, sizeof hal->counters);
@@ -252,24 +253,75 @@ static void application(board_t *board) {
 
 typedef enum { NEXT_ENGINE, NEXT_BYTE, NEXT_INPUT, NEXT_IDLE, NEXT_WATCHDOG } next_t;
 
+typedef struct {
+    next_t what;
+    int64_t time_ps;
+    int64_t tick; /* What the board's own clock times has one. */
+} event_t;
+
 /* Tells what comes next and when. At equal times the order is that of next_t: chips first, so that an edge at a chip's
  * start belongs to that chip. */
-static next_t next_event(const hal_t *hal, int64_t *time_ps) {
-    next_t next = hal->failed[HOST_FAILURE_MAIN_HANGS] ? NEXT_WATCHDOG : NEXT_IDLE;
-    *time_ps = time_of(hal, next == NEXT_IDLE ? hal->idle_tick : hal->kick_tick + WATCHDOG_TICKS);
-    if (hal->inputs_count > 0 && hal->inputs[hal->inputs_head].time_ps <= *time_ps) {
-        *time_ps = hal->inputs[hal->inputs_head].time_ps;
-        next = NEXT_INPUT;
+static event_t next_event(const hal_t *hal) {
+    const engine_t *engine = &hal->engine;
+    const transmitter_t *transmitter = &hal->transmitter;
+    event_t next = {.what = NEXT_IDLE, .tick = hal->idle_tick};
+    if (hal->failed[HOST_FAILURE_MAIN_HANGS]) {
+        next = (event_t){.what = NEXT_WATCHDOG, .tick = hal->kick_tick + WATCHDOG_TICKS};
     }
-    if (hal->transmitter.count > 0 && time_of(hal, hal->transmitter.byte_end) <= *time_ps) {
-        *time_ps = time_of(hal, hal->transmitter.byte_end);
-        next = NEXT_BYTE;
+    if (transmitter->count > 0 && transmitter->byte_end <= next.tick) {
+        next = (event_t){.what = NEXT_BYTE, .tick = transmitter->byte_end};
     }
-    if (hal->engine.running && time_of(hal, host_engine_tick(&hal->engine)) <= *time_ps) {
-        *time_ps = time_of(hal, host_engine_tick(&hal->engine));
-        next = NEXT_ENGINE;
+    if (engine->running && engine->next_tick <= next.tick) {
+        next = (event_t){.what = NEXT_ENGINE, .tick = engine->next_tick};
+    }
+    next.time_ps = time_of(hal, next.tick);
+    if (hal->inputs_count > 0) {
+        const int64_t input_ps = hal->inputs[hal->inputs_head].time_ps;
+        if (input_ps < next.time_ps || (input_ps == next.time_ps && next.what > NEXT_INPUT)) {
+            next = (event_t){.what = NEXT_INPUT, .time_ps = input_ps};
+        }
     }
     return next;
+}
+
+/* The present goes on to an event, unless it is there already. */
+static void go_to(hal_t *hal, const event_t *next) {
+    if (next->time_ps >= hal->now_ps) {
+        hal->now_ps = next->time_ps;
+        if (next->what != NEXT_INPUT) {
+            hal->tick_ps = next->time_ps;
+            hal->tick = next->tick;
+        }
+    }
+    if (hal->tick_ps != hal->now_ps) {
+        hal->tick = host_tick(hal);
+        hal->tick_ps = hal->now_ps;
+    }
+}
+
+static void happen(board_t *board, next_t what) {
+    hal_t *hal = &board->hal;
+    switch (what) {
+    case NEXT_ENGINE:
+        host_engine_event(hal);
+        break;
+    case NEXT_BYTE:
+        byte_sent(hal);
+        break;
+    case NEXT_INPUT:
+        input_take(hal);
+        break;
+    case NEXT_IDLE:
+        hal->awake = true;
+        break;
+    case NEXT_WATCHDOG:
+        restart(board, HAL_RESET_WATCHDOG);
+        start(board);
+        break;
+    }
+    if (hal->awake) {
+        application(board);
+    }
 }
 
 static board_status_t board_run(board_t *board, int64_t until_ps) {
@@ -282,41 +334,49 @@ static board_status_t board_run(board_t *board, int64_t until_ps) {
         hal->now_ps = hal->power_on_ps;
         application(board);
     }
-    int64_t time_ps = INT64_MIN;
-    next_t next;
-    while (board->powered && !hal->dead && (next = next_event(hal, &time_ps), time_ps < until_ps)) {
-        hal->now_ps = time_ps > hal->now_ps ? time_ps : hal->now_ps;
-        switch (next) {
-        case NEXT_ENGINE:
-            host_engine_event(hal);
-            break;
-        case NEXT_BYTE:
-            byte_sent(hal);
-            break;
-        case NEXT_INPUT:
-            input_take(hal);
-            break;
-        case NEXT_IDLE:
-            hal->awake = true;
-            break;
-        case NEXT_WATCHDOG:
-            restart(board, HAL_RESET_WATCHDOG);
-            start(board);
+    hal->due_ps = INT64_MIN;
+    while (board->powered && !hal->dead) {
+        const event_t next = next_event(hal);
+        if (next.time_ps >= until_ps) {
+            hal->due_ps = next.time_ps;
             break;
         }
-        if (hal->awake) {
-            application(board);
-        }
+        go_to(hal, &next);
+        happen(board, next.what);
     }
     if (hal->now_ps < until_ps) {
         hal->now_ps = until_ps;
     }
-    hal->due_ps = board->powered && !hal->dead ? time_ps : INT64_MIN;
     return BOARD_OK;
 }
 
 static int64_t board_now(const board_t *board) {
     return board->hal.now_ps;
+}
+
+/* The application runs when a block begins, something comes from outside, the last byte has left, or it has slept for
+ * long; the sync output changes with a chip. */
+static board_ahead_t board_ahead(const board_t *board) {
+    const hal_t *hal = &board->hal;
+    board_ahead_t ahead = {.due_ps = hal->due_ps, .asks_ps = hal->due_ps};
+    for (unsigned i = 0; i < HOST_FAILURES; i++) {
+        if (hal->failed[i]) {
+            return ahead;
+        }
+    }
+    if (ahead.due_ps == INT64_MIN || !hal->engine.running) {
+        return ahead;
+    }
+    const transmitter_t *transmitter = &hal->transmitter;
+    const int64_t block = host_engine_change(&hal->engine);
+    const int64_t sent = transmitter->byte_end + (int64_t)(transmitter->count - 1u) * SERIAL_BYTE_TICKS;
+    int64_t tick = block < hal->idle_tick ? block : hal->idle_tick;
+    tick = transmitter->count > 0 && sent < tick ? sent : tick;
+    ahead.asks_ps = time_of(hal, tick);
+    if (hal->inputs_count > 0 && hal->inputs[hal->inputs_head].time_ps < ahead.asks_ps) {
+        ahead.asks_ps = hal->inputs[hal->inputs_head].time_ps;
+    }
+    return ahead;
 }
 
 static void board_pin_in(board_t *board, unsigned pin, bool level, int64_t time_ps) {
@@ -363,7 +423,7 @@ board_t *host_board_create(const host_board_config_t *config, const board_edge_t
         return NULL;
     }
     hal_t *hal = &board->hal;
-    hal->due_ps = INT64_MIN;
+    hal->due_ps = hal->tick_ps = INT64_MIN;
     hal->edge = *edge;
     hal->config = *config;
     hal->power_on_ps = power_on_ps;
@@ -395,6 +455,7 @@ void host_board_fail(board_t *board, host_failure_t failure, bool active) {
 const board_operations_t host_board_operations = {
     .run = board_run,
     .now = board_now,
+    .ahead = board_ahead,
     .pin_in = board_pin_in,
     .uart_in = board_uart_in,
     .can_in = board_can_in,

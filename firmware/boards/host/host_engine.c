@@ -1,8 +1,6 @@
 /* host_engine.c: the chip engine of a host board: what a chip does to pins, set-points and converters, and when. */
 #include "boards/host/host_internal.h"
 
-#include <math.h>
-
 #define STALE_CHIPS 2u /* Chips without a measurement after which the drive goes off (hal.h). */
 
 /* ---- Converters ---- */
@@ -14,7 +12,7 @@ static uint16_t convert(const hal_t *hal, unsigned pin) {
     if (!hal->edge.analog_in) {
         return 0;
     }
-    const double count = floor(hal->edge.analog_in(hal->edge.context, pin, hal->now_ps) * (4096.0 / 3.3) + 0.5);
+    const double count = hal->edge.analog_in(hal->edge.context, pin, hal->now_ps) * (4096.0 / 3.3) + 0.5;
     return count >= HAL_SAMPLE_MAX ? HAL_SAMPLE_MAX : count > 0 ? (uint16_t)count : 0; /* 0 for what is not a number. */
 }
 
@@ -34,9 +32,13 @@ static void measure(hal_t *hal, look_t look) {
 
 /* ---- Chip engine ---- */
 
-static uint32_t planned_period(const engine_t *engine) {
-    const uint32_t period = engine->plan[engine->block & 1].period_ticks[engine->chip_in_block];
+static uint32_t period_of(const hal_plan_t *plan, uint32_t chip) {
+    const uint32_t period = plan->period_ticks[chip];
     return period < HAL_CHIP_TICKS_MIN ? HAL_CHIP_TICKS_MIN : period > HAL_CHIP_TICKS_MAX ? HAL_CHIP_TICKS_MAX : period;
+}
+
+static uint32_t planned_period(const engine_t *engine) {
+    return period_of(&engine->plan[engine->block & 1], engine->chip_in_block);
 }
 
 /* A chip's events have numbers. 0 is the start of the very first chip; then, where there are coils, come the sampling
@@ -64,10 +66,8 @@ static bool samples_currents(uint32_t event) {
     return (event & 1u) != 0u;
 }
 
-int64_t host_engine_tick(const engine_t *engine) {
-    if (engine->event == 0) {
-        return engine->chip_start;
-    }
+/* Returns the tick of the next event. */
+static int64_t next_tick(const engine_t *engine) {
     const int64_t end = engine->chip_start + planned_period(engine);
     if (engine->event == last_event(engine)) {
         return end;
@@ -87,6 +87,19 @@ int64_t host_engine_tick(const engine_t *engine) {
                                                         : converted;
     const int64_t measured = look == LOOK_END ? last : last - MIDDLE_TICKS;
     return sampled ? measured - CONVERSION_TICKS + SAMPLE_TICKS : measured;
+}
+
+int64_t host_engine_change(const engine_t *engine) {
+    const hal_plan_t *plan = &engine->plan[engine->block & 1];
+    int64_t tick = engine->chip_start;
+    uint32_t chip = engine->chip_in_block;
+    if (engine->event == 0) {
+        return tick; /* The very first chip. */
+    }
+    do {
+        tick += period_of(plan, chip++);
+    } while (chip < HAL_BLOCK_CHIPS && ((plan->drive[chip - 1u] ^ plan->drive[chip]) & HAL_PLAN_SYNC_OUT) == 0);
+    return tick;
 }
 
 static void next_chip(engine_t *engine) {
@@ -154,9 +167,8 @@ static void tell_currents(hal_t *hal, look_t look) {
     }
 }
 
-void host_engine_event(hal_t *hal) {
+static void take_event(hal_t *hal, uint32_t event) {
     engine_t *engine = &hal->engine;
-    const uint32_t event = engine->event++;
     if (event == 0 || event == last_event(engine)) {
         if (event > 0) {
             next_chip(engine);
@@ -176,6 +188,11 @@ void host_engine_event(hal_t *hal) {
     } else {
         tell_currents(hal, look_of(engine, event));
     }
+}
+
+void host_engine_event(hal_t *hal) {
+    take_event(hal, hal->engine.event++);
+    hal->engine.next_tick = next_tick(&hal->engine);
 }
 
 void host_engine_sync(hal_t *hal) {

@@ -8,6 +8,9 @@
 __extension__ typedef unsigned __int128 wide_t;
 
 int64_t host_tick(const hal_t *hal) {
+    if (hal->now_ps == hal->tick_ps) {
+        return hal->tick;
+    }
     return (int64_t)(((wide_t)(uint64_t)(hal->now_ps - hal->power_on_ps) << 32) / hal->tick_q32);
 }
 
@@ -45,6 +48,7 @@ void hal_chips_start(hal_t *hal, hal_role_t role, const hal_events_t *events) {
                          .role = role,
                          .events = *events,
                          .chip_start = host_tick(hal) + 168,
+                         .next_tick = host_tick(hal) + 168,
                          .set_point = {UINT16_MAX, UINT16_MAX}};
     events->plan(events->context, 0, &engine->plan[0]);
     events->plan(events->context, 1, &engine->plan[1]);

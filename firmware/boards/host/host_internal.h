@@ -73,7 +73,8 @@ typedef struct {
     uint32_t chip;                    /* The chip under way, counted since hal_chips_start(). */
     uint32_t chip_in_block;           /* Its place in the block. */
     int64_t chip_start;               /* The tick at which it began. */
-    uint32_t event;                   /* The next event within the chip: host_engine.c numbers them. */
+    uint32_t event;                   /* The next event within the chip: host_engine.c numbers them, */
+    int64_t next_tick;                /* and its tick. */
     uint16_t current[HAL_CHANNELS];   /* The conversions of the currents that end shortly. */
     hal_monitor_t monitor;            /* What is measured together with them. */
     uint32_t unmeasured;              /* Chips without such a conversion while the drive is on. */
@@ -88,17 +89,17 @@ typedef struct {
 } transmitter_t;
 
 struct hal {
-    /* Nothing happens on the board before due_ps, unless something comes from outside; INT64_MIN: nobody knows. Beside
-     * the present, so that a board on which nothing is due costs a line of the cache. */
+    /* Nothing happens on the board before due_ps, unless something comes from outside; INT64_MIN: nobody knows. */
     int64_t due_ps, now_ps;
     board_edge_t edge;
     host_board_config_t config;
     int64_t power_on_ps;
-    uint64_t tick_q32; /* Length of a tick, ps times 2^32. */
-    bool reset_wanted; /* The application has asked for a reset, which comes at the end of its turn. */
-    bool awake;        /* There was an interrupt since the main loop last ran. */
-    int64_t idle_tick; /* The latest end of the present sleep. */
-    int64_t kick_tick; /* The watchdog was last kicked. */
+    uint64_t tick_q32;     /* Length of a tick, ps times 2^32. */
+    int64_t tick_ps, tick; /* A time and its tick: as a rule the present, which is asked for again and again. */
+    bool reset_wanted;     /* The application has asked for a reset, which comes at the end of its turn. */
+    bool awake;            /* There was an interrupt since the main loop last ran. */
+    int64_t idle_tick;     /* The latest end of the present sleep. */
+    int64_t kick_tick;     /* The watchdog was last kicked. */
     bool failed[HOST_FAILURES];
     engine_t engine;
     bool pin_out[64];             /* The levels that the outside has been told, */
@@ -135,8 +136,8 @@ void host_pin_write(hal_t *hal, unsigned pin, bool level);
 /* Gives the bridges' inputs the levels of the present chip, or, with the drive off, none: they follow the enable. */
 void host_bridges_write(hal_t *hal);
 
-/* Returns the tick at which the engine's next event is due. */
-int64_t host_engine_tick(const engine_t *engine);
+/* Returns the tick of the next chip that begins a block or changes the sync output. */
+int64_t host_engine_change(const engine_t *engine);
 
 /* Let the engine's next event happen. */
 void host_engine_event(hal_t *hal);
