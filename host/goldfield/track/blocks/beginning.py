@@ -9,11 +9,13 @@ one place for all of them, so that what they do not tell they do not seem to tel
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from goldfield.field import FieldModel
+from goldfield.locate import kernel
 from goldfield.track.blocks.backward import Step, smoothed
 from goldfield.track.blocks.bank import WIDENED, Bank, Estimate, Start
 from goldfield.track.blocks.equations import NormalForm
@@ -27,6 +29,13 @@ the field of a dipole changes by a tenth."""
 
 VAGUE_RAD = 0.1
 """So it is if its attitude has a larger deviation."""
+
+CURVATURE = 6.0
+"""The second order of a dipole's field, over the field, by an error of its distance: half of 3 times 4."""
+
+SECOND = 3.0
+"""So it is, too, if what its errors change in the field of a coil by their second order is more than so many times the
+noise of that field in a block: the less noise, the less of that may be taken for knowledge."""
 
 MOST = 33
 """So many blocks are kept, 0.1 s: the time that they take grows with the square of their number."""
@@ -51,23 +60,41 @@ POSE = 6
 """Numbers of a pose, the first of a state's errors."""
 
 
-def is_vague(model: FieldModel, known: Estimate, axes: int = 3, widened: float = 1.0) -> bool:
+def is_vague(model: FieldModel, known: Estimate, noise_T: float, axes: int = 3, widened: float = 1.0) -> bool:
     """Tell whether the fields are far from linear over the errors of a pose, whose deviations are widened by a factor.
 
-    The turn about the only one of a sensor's axes is free and does not count.
+    ``noise_T`` is that of a field in a block. The turn about the only one of a sensor's axes is free and does not
+    count.
     """
     near_m = float(model.nearest_m(known.motion.position_m[None])[0])
     turns = np.linalg.eigvalsh(known.covariance[TURN, TURN])
     position_sd_m = float(np.sqrt(np.trace(known.covariance[POSITION, POSITION]))) / widened
     turn_sd_rad = float(np.sqrt(turns[: 2 if axes == 1 else 3].sum())) / widened
-    return not (position_sd_m <= VAGUE * near_m and turn_sd_rad <= VAGUE_RAD)
+    linear = position_sd_m <= VAGUE * near_m and turn_sd_rad <= VAGUE_RAD
+    return not (linear and _second_order_T(model, known, position_sd_m, turn_sd_rad) <= SECOND * noise_T)
+
+
+def _second_order_T(model: FieldModel, known: Estimate, position_sd_m: float, turn_sd_rad: float) -> float:
+    """Return what errors of such deviations change in the field of a coil by their second order, the most of all."""
+    place = known.motion.position_m
+    field, _ = kernel.evaluate(model, place)
+    away2 = np.maximum(np.square(model.centre_m - place).sum(axis=1), np.square(model.reach_m))
+    part = CURVATURE * position_sd_m**2 / away2 + 0.5 * turn_sd_rad**2
+    return float((part * np.linalg.norm(field, axis=0)).max())
+
+
+def _noise_T(form: NormalForm) -> float:
+    """Return the noise of a field in a block."""
+    return float(1.0 / np.sqrt(np.diag(form.weight).max() * form.gram[-1, -1]))
 
 
 def begun(model: FieldModel, start: Start) -> Beginning | None:
     """Return the beginning of a track that a start leaves vague; None if the track can go on block by block."""
     axes = int(start.blocks[-1].axes.sum()) if start.blocks else 3
-    vague = len(start.blocks) <= STARTS and is_vague(model, start.known, axes, WIDENED)
-    return Beginning(model, start) if vague else None
+    if len(start.blocks) > STARTS:
+        return None
+    noise_T = _noise_T(start.blocks[-1]) if start.blocks else math.inf
+    return Beginning(model, start) if is_vague(model, start.known, noise_T, axes, WIDENED) else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +158,7 @@ class Beginning:
         except np.linalg.LinAlgError:  # Nothing that could be computed with is known of the pose.
             self.over = True
             return False
-        self.over = full or not is_vague(self._model, self.known, int(form.axes.sum()))
+        self.over = full or not is_vague(self._model, self.known, _noise_T(form), int(form.axes.sum()))
         return agrees
 
     def _fit(self) -> bool:
