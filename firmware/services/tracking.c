@@ -7,19 +7,15 @@
 #include "core/math/vector3.h"
 #include "core/track/block_out.h"
 #include "services/pose_report.h"
+#include "services/tracking_cycles.h"
+#include "services/tracking_judge.h"
 
-#define MICROTESLA     1e6f  /* Microtesla in a tesla. */
-#define UT_M3_PER_A_M2 0.1f  /* mu0 / (4 pi) in uT m^3 for each A m^2. */
-#define WEAK_ATTITUDE  0.5f  /* Standard deviation of the attitude beyond which nothing linear holds, rad. */
-#define WEAK_DISTANCE  0.25f /* That of the position, over the distance to the nearest beacon. */
-#define CURVATURE      6.0f  /* What errors of second order add to a dipole's field: half of 3 times 4. */
-#define VAGUE          3.0f  /* Largest such part of a field over its noise. */
-#define START_VELOCITY 3.0f  /* Standard deviations with which the filter begins: m/s ... */
-#define START_RATE     4.0f  /* ... and rad/s. */
-#define PROTECTION_SD  3.29f /* Deviate of what noise alone exceeds in one of a thousand cases. */
+#define MICROTESLA     1e6f /* Microtesla in a tesla. */
+#define UT_M3_PER_A_M2 0.1f /* mu0 / (4 pi) in uT m^3 for each A m^2. */
+#define START_VELOCITY 3.0f /* Standard deviations with which the filter begins: m/s ... */
+#define START_RATE     4.0f /* ... and rad/s. */
 
 #define CHIP_S  ((float)HAL_CHIP_TICKS / (float)HAL_TICKS_PER_SECOND) /* Length of a chip, s. */
-#define CYCLE_S ((float)BLOCK_CYCLE_CHIPS * CHIP_S)
 #define BLOCK_S ((float)BLOCK_CHIPS * CHIP_S)
 #define HALF_S  (0.5f * (float)(BLOCK_CHIPS - 1u) * CHIP_S) /* From the middle of a block to its last sample, s. */
 #define GAP_S   (((float)BLOCK_FILTER_REFUSALS + 0.5f) * BLOCK_S) /* Longest time without a block that is bridged, s. */
@@ -94,86 +90,6 @@ static void send(const tracking_t *tracking, node_t *node, const pose_t *pose) {
     node_flush(node);
 }
 
-/* Returns whether the beacon of a row is not to be believed, or its coil is not known. */
-static bool is_out(const tracking_t *tracking, uint32_t row) {
-    return row == tracking->verdict.left_out || row == tracking->suspect || tracking->coils[row].k_uT_m3 == 0.0f;
-}
-
-static float trace(const float matrix[3][3]) {
-    return matrix[0][0] + matrix[1][1] + matrix[2][2];
-}
-
-static float root_of_trace(const float matrix[3][3]) {
-    return square_root(trace(matrix));
-}
-
-static float nearest_m(const tracking_t *tracking, const float position_m[3]) {
-    float nearest2 = 1e30f;
-    for (uint32_t i = 0; i < tracking->count; i++) {
-        float away[3];
-        vector3_subtract(position_m, tracking->coils[i].centre_m, away);
-        const float away2 = vector3_dot(away, away);
-        nearest2 = !is_out(tracking, i) && away2 < nearest2 ? away2 : nearest2;
-    }
-    return square_root(nearest2);
-}
-
-/* Returns whether nothing linear holds over the errors of a pose. */
-static bool is_weak(const tracking_t *tracking, float position_sd_m, float attitude_sd_rad, const float position_m[3]) {
-    return attitude_sd_rad > WEAK_ATTITUDE || position_sd_m > WEAK_DISTANCE * nearest_m(tracking, position_m);
-}
-
-/* Returns whether what is of second order in the errors of a pose that so many chips have told is more than their noise
- * in the field of any beacon. */
-static bool is_vague(const tracking_t *tracking, const pose_t *pose, float chips) {
-    const float position_m2 = trace(pose->position_cov_m2), turn_rad2 = trace(pose->attitude_cov_rad2);
-    float most2 = 0.0f;
-    for (uint32_t i = 0; i < tracking->count; i++) {
-        const loop_t *const coil = &tracking->coils[i];
-        float away[3], field[3];
-        if (is_out(tracking, i)) {
-            continue;
-        }
-        vector3_subtract(pose->position_m, coil->centre_m, away);
-        loop_field(coil, pose->position_m, field);
-        const float distance2 = vector3_dot(away, away) + coil->radius_m * coil->radius_m;
-        const float part = CURVATURE * position_m2 / distance2 + 0.5f * turn_rad2;
-        const float second2 = part * part * vector3_dot(field, field);
-        most2 = second2 > most2 ? second2 : most2;
-    }
-    const float noise_uT = MICROTESLA * tracking->onboard->noise_T;
-    return most2 * chips > VAGUE * VAGUE * noise_uT * noise_uT;
-}
-
-/* Sets status, reason and protection level of a pose whose numbers are set. */
-static void judge(const tracking_t *tracking, float position_sd_m, float attitude_sd_rad, pose_t *pose) {
-    const onboard_verdict_t *const verdict = &tracking->verdict;
-    const float noise_m = PROTECTION_SD * position_sd_m;
-    pose->status = verdict->status;
-    pose->reason = verdict->reason;
-    pose->left_out = tracking->suspect != POSE_NOBODY ? tracking->suspect : verdict->left_out;
-    pose->protection_m = verdict->protection_m > noise_m ? verdict->protection_m : noise_m;
-    if (pose->status != POSE_OK && pose->status != POSE_UNVERIFIED) {
-        return;
-    }
-    if (tracking->suspect != POSE_NOBODY) {
-        pose->reason = POSE_REASON_LEFT_OUT;
-    }
-    if (tracking->filter.refused >= TRACKING_DOUBTS || tracking->misfits >= TRACKING_DOUBTS) {
-        pose->status = POSE_INCONSISTENT;
-        pose->reason = POSE_REASON_PENDING;
-    } else if (tracking->ambiguous) {
-        pose->status = POSE_AMBIGUOUS;
-        pose->reason = POSE_REASON_RIVAL;
-    } else if (tracking->vague > 0u || is_weak(tracking, position_sd_m, attitude_sd_rad, pose->position_m)) {
-        pose->status = POSE_WEAK;
-        pose->reason = POSE_REASON_WEAK;
-    } else if (pose->protection_m > tracking->onboard->site.alert_limit_m) {
-        pose->status = POSE_UNVERIFIED;
-        pose->reason = POSE_REASON_UNVERIFIED;
-    }
-}
-
 /* Sends the pose at the end of the latest block. */
 static void send_pose(const tracking_t *tracking, node_t *node) {
     if (tracking->number % tracking->every != 0u) {
@@ -192,10 +108,10 @@ static void send_pose(const tracking_t *tracking, node_t *node) {
         }
     }
     for (uint32_t i = 0; i < tracking->select.count; i++) {
-        pose.used += is_out(tracking, tracking->select.rows[i]) ? 0u : 1u;
+        pose.used += tracking_is_out(tracking, tracking->select.rows[i]) ? 0u : 1u;
     }
     pose.residual = found.freedom > 0u ? square_root(found.chi_square / (float)found.freedom) : 0.0f;
-    judge(tracking, root_of_trace(pose.position_cov_m2), root_of_trace(pose.attitude_cov_rad2), &pose);
+    tracking_judge(tracking, &pose);
     send(tracking, node, &pose);
 }
 
@@ -205,7 +121,7 @@ static void send_pose(const tracking_t *tracking, node_t *node) {
 static void select(tracking_t *tracking, const float position_m[3]) {
     uint32_t out = 0;
     for (uint32_t i = 0; i < tracking->count; i++) {
-        out |= is_out(tracking, i) ? 1u << i : 0u;
+        out |= tracking_is_out(tracking, i) ? 1u << i : 0u;
     }
     block_select(&tracking->select, tracking->coils, tracking->count, position_m, out,
                  tracking->verdict.status == POSE_INCONSISTENT);
@@ -296,7 +212,7 @@ static void compare(tracking_t *tracking, const block_state_t *predicted, const 
 static uint32_t columns_out(const tracking_t *tracking) {
     uint32_t out = 0;
     for (uint32_t i = 0; i < tracking->select.count; i++) {
-        out |= is_out(tracking, tracking->select.rows[i]) ? 1u << i : 0u;
+        out |= tracking_is_out(tracking, tracking->select.rows[i]) ? 1u << i : 0u;
     }
     return out;
 }
@@ -378,7 +294,7 @@ static float slopes2(const tracking_t *tracking) {
     for (uint32_t i = 0; i < tracking->count; i++) {
         const float field2 = vector3_dot(tracking->block->sums_uT[i], tracking->block->sums_uT[i]);
         const float k = tracking->coils[i].k_uT_m3, radius = tracking->coils[i].radius_m;
-        if (is_out(tracking, i) || !(field2 > 0.0f)) {
+        if (tracking_is_out(tracking, i) || !(field2 > 0.0f)) {
             continue;
         }
         const float away = 1.0f / inverse_cube_root(1.5f * (k < 0.0f ? -k : k) * inverse_square_root(field2));
@@ -404,7 +320,7 @@ static float variance(const tracking_t *tracking, uint32_t row, float sum2) {
 /* Begins to locate the fields of the blocks gathered. Returns false if they cannot be separated. */
 static bool locate(tracking_t *tracking) {
     for (uint32_t i = 0; i < tracking->count; i++) {
-        if (is_out(tracking, i)) {
+        if (tracking_is_out(tracking, i)) {
             block_leave_out(tracking->block, i);
         }
     }
@@ -417,7 +333,7 @@ static bool locate(tracking_t *tracking) {
         for (uint32_t axis = 0; axis < 3u; axis++) {
             fields[i].field_T[axis] = tracking->block->sums_uT[i][axis] / MICROTESLA;
         }
-        fields[i].sigma_T = is_out(tracking, i) ? 0.0f : square_root(variance(tracking, i, sum2)) / MICROTESLA;
+        fields[i].sigma_T = tracking_is_out(tracking, i) ? 0.0f : square_root(variance(tracking, i, sum2)) / MICROTESLA;
     }
     const pose_verdict_t unknown = {.row = POSE_NOBODY, .reason = POSE_REASON_PENDING};
     pose_begin(&tracking->onboard->site, fields, false, &unknown, tracking->work, &tracking->start);
@@ -483,7 +399,7 @@ static void begin(tracking_t *tracking, node_t *node) {
     tracking->misfits = tracking->accused = 0;
     select(tracking, found->position_m);
     const bool vague = tracking->onboard->chips == BLOCK_CYCLE_CHIPS &&
-                       is_vague(tracking, found, (float)(tracking->gathered * BLOCK_CHIPS));
+                       tracking_is_vague(tracking, found, (float)(tracking->gathered * BLOCK_CHIPS));
     block_filter_keep_slopes(&tracking->filter, false);
     tracking->vague = vague ? TRACKING_VAGUE_CYCLES : 0u;
     tracking->unrest = vague ? TRACKING_UNREST_CYCLES : 0u;
@@ -503,103 +419,13 @@ static void begin(tracking_t *tracking, node_t *node) {
 
 /* ---- Calls ---- */
 
-/* Returns whether a verdict tells where the sensor was. */
-static bool tells(const onboard_verdict_t *verdict) {
-    return verdict->status != POSE_AMBIGUOUS && verdict->status != POSE_INCONSISTENT;
-}
-
-/* Returns whether a cycle was located so far from the track that the deviations of both do not explain it. */
-static bool is_astray(const tracking_t *tracking, float away_m) {
-    const pose_t *const cycle = &tracking->onboard->pose;
-    block_pose_t track;
-    block_filter_output(&tracking->filter, 0.0f, &track);
-    float variance_m2 = 0.0f;
-    for (uint32_t axis = 0; axis < 3u; axis++) {
-        variance_m2 += cycle->position_cov_m2[axis][axis] + track.covariance[axis][axis];
-    }
-    return away_m * away_m > TRACKING_ASTRAY * TRACKING_ASTRAY * variance_m2;
-}
-
-/* Begins the track anew from a cycle of it: where that was located, and the motion since then has brought it. */
-static void begin_again(tracking_t *tracking) {
-    const onboard_t *const onboard = tracking->onboard;
-    block_start_t there = {.ambient_sd_uT = MICROTESLA * onboard->noise_T};
-    memcpy(there.position_m, onboard->pose.position_m, sizeof there.position_m);
-    memcpy(there.quaternion, onboard->pose.quaternion, sizeof there.quaternion);
-    memcpy(there.position_cov_m2, onboard->pose.position_cov_m2, sizeof there.position_cov_m2);
-    memcpy(there.attitude_cov_rad2, onboard->pose.attitude_cov_rad2, sizeof there.attitude_cov_rad2);
-    block_filter_shift(&tracking->filter, onboard->located_m, onboard->located_q, &there, CYCLE_S);
-    block_filter_keep_slopes(&tracking->filter, true);
-    select(tracking, tracking->filter.filters[tracking->filter.best].state.position_m);
-}
-
-/* Looks whether a cycle of the track was located where the track is. Of two poses that explained the start as well, one
- * that was located with no prior tells which is the right one; of a track that is vague or astray, where it is. */
-static void resolve(tracking_t *tracking, const onboard_verdict_t *verdict) {
-    const bool searches = tracking->ambiguous || tracking->vague > 0u;
-    if (!tells(verdict) || !verdict->beside || (searches && !verdict->searched)) {
-        return;
-    }
-    tracking->ambiguous = false;
-    if (tracking->state != TRACKING_FOLLOWS) {
-        return;
-    }
-    const float *const here_m = tracking->filter.filters[tracking->filter.best].state.position_m;
-    const bool astray = is_astray(tracking, verdict->away_m);
-    if (tracking->vague == 0u && verdict->away_m > WEAK_DISTANCE * nearest_m(tracking, here_m)) {
-        lose(tracking); /* It is elsewhere: far from all beacons a wrong track contradicts no block. */
-    } else if (tracking->vague > 0u) {
-        begin_again(tracking);
-        tracking->vague -= astray && verdict->by_track ? 0u : 1u;
-    } else if (is_vague(tracking, &tracking->onboard->pose, (float)BLOCK_CYCLE_CHIPS)) {
-        begin_again(tracking);
-        tracking->rests = tracking->rests || tracking->unrest == 0u;
-        tracking->unrest = TRACKING_UNREST_CYCLES;
-    } else if (astray && tracking->unrest > 0u) {
-        begin_again(tracking);
-        tracking->vague = verdict->by_track ? 1u : 0u;
-    }
-}
-
-/* Decides how the next cycle of a track that started vague is taken. What it makes of a cycle is worse than the cycle
- * itself if the sensor rests, as the track's own unrest is in it, and the only one that fits if the sensor moves: where
- * one does not fit the other is tried, once. A review of what a motion has mixed is given up.
- * Returns whether a verdict counts: one that fits, or the second that does not. */
-static bool counts(tracking_t *tracking, const onboard_verdict_t *verdict) {
-    const bool fits = verdict->status != POSE_INCONSISTENT, twice = tracking->unfit;
-    if (tracking->unrest == 0u) {
-        tracking->rests = false;
-        return true;
-    }
-    tracking->unrest--;
-    tracking->unfit = !fits;
-    if (!fits && !verdict->by_track && !twice) {
-        pose_live_forget(&tracking->onboard->live);
-    }
-    tracking->rests = tracking->unrest > 0u && (fits ? tracking->rests : !tracking->rests);
-    return fits || twice;
-}
-
-/* Takes the verdict of a cycle that was located since the last block. */
+/* Lets the cycle that was located since the last block, if any, tell of the track. */
 static void look_at_cycles(tracking_t *tracking) {
-    const onboard_t *const onboard = tracking->onboard;
-    if (tracking->judged == onboard->judged) {
-        return;
-    }
-    tracking->judged = onboard->judged;
-    const onboard_verdict_t *const verdict = &onboard->verdict;
-    if (verdict->beside && !counts(tracking, verdict)) {
-        return;
-    }
-    resolve(tracking, verdict);
-    if (verdict->beside || tracking->doubted || onboard->chips != BLOCK_CYCLE_CHIPS) {
-        tracking->verdict = *verdict;
-        if (verdict->status != POSE_INCONSISTENT) {
-            tracking->suspect = POSE_NOBODY;
-            tracking->doubted = tracking->doubted && !verdict->beside;
-        } else if (tracking->doubted && verdict->beside && tracking->state == TRACKING_FOLLOWS) {
-            lose(tracking); /* It began when nothing fitted, and nothing fits it. */
-        }
+    const tracking_cycles_t told = tracking_cycles_look(tracking);
+    if (told == TRACKING_CYCLES_LOST) {
+        lose(tracking);
+    } else if (told == TRACKING_CYCLES_MOVED) {
+        select(tracking, tracking->filter.filters[tracking->filter.best].state.position_m);
     }
 }
 
