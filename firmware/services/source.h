@@ -53,7 +53,7 @@ typedef struct {
     volatile uint32_t changes;  /* Changes from one source to another. */
     uint32_t error_ns;          /* The clock's estimated error when the field was asked for. */
     int16_t late_ticks;         /* By so many does the field have the own chips begin later. Main sets it. */
-    uint32_t settled_chip;      /* From this chip on samples are no longer late. */
+    uint32_t settled_chip;      /* Blocks that begin with this chip or later are no longer late. */
     /* Private. */
     volatile uint8_t stage; /* A source_stage_t. Plan asks, main answers. */
     uint32_t wire_chip;     /* The chip that was planned next when the wire's latest good edge came, */
@@ -80,8 +80,8 @@ static inline void source_ready(source_t *source) {
     source->stage = SOURCE_READY;
 }
 
-/* Returns whether a chip's last conversions lie behind the beacons' edge: own chips are late, or were when it was
- * planned. Costs about 10 instructions. */
+/* Returns whether, in a block that begins with this chip, last conversions lie behind the beacons' edge: own chips are
+ * late, or were when they were planned. Costs about 10 instructions. */
 static inline bool source_late(const source_t *source, uint32_t chip) {
     return source->by_field || (int32_t)(source->settled_chip - chip) > 0;
 }
