@@ -138,6 +138,11 @@ uint32_t node_identifier(const node_t *node, uint32_t message, uint32_t index);
  * Returns false if it does not fit now: nothing was sent. */
 bool node_serial_write(node_t *node, const frame_t *frame);
 
+/* Returns the number by which access.h knows a link. */
+static inline uint32_t node_link_index(node_links_t link) {
+    return link == NODE_CAN;
+}
+
 /* Returns the value, limited to -limit and +limit: for a signal of a message that is clamped. */
 int32_t node_clamp(int32_t value, int32_t limit);
 

@@ -5,10 +5,9 @@
 #include "goldfield.h"
 #include "protocol_hash.h"
 #include "services/access.h"
+#include "services/parameter_requests.h"
 #include "services/reset_report.h"
 #include "services/version.h"
-
-#define TEXT_CHARACTERS 7u /* Characters in one PARAM_TEXT. */
 
 /* Indices of COMMAND. */
 enum {
@@ -41,93 +40,6 @@ enum { ACCESS_FROM_BOARD = 0, ACCESS_TO_BOARD = 1 };
 #define MICROSECONDS 1000000u
 #define LATE_STEP_US 1000u /* More than the two frames of an identity take. */
 #define LATE_SHIFT   58u   /* 64 such steps: one of 64 pairs of boards has the same, and another one next time. */
-
-/* ---- Parameters ---- */
-
-static void answer_parameter(node_t *node, node_links_t link, uint32_t index, parameter_status_t status) {
-    parameter_value_t value;
-    (void)parameters_get(&node->parameters, index, &value);
-    if (access_secret(index)) {
-        value.bits = access_keyed(&node->access);
-    }
-    struct goldfield_param_value_t answer = {
-        .kind = value.kind, .status = (uint8_t)status, .value_unsigned = value.bits};
-    /* The packer takes the member that belongs to the kind. */
-    memcpy(&answer.value_signed, &value.bits, sizeof value.bits);
-    memcpy(&answer.value_float, &value.bits, sizeof value.bits);
-    uint8_t data[8];
-    const uint8_t length = (uint8_t)goldfield_param_value_pack(data, &answer, sizeof data);
-    node_send(node, link, GOLDFIELD_PARAM_VALUE_FRAME_ID, index, data, length);
-}
-
-/* Returns the number by which access.h knows a link. */
-static uint32_t link_index(node_links_t link) {
-    return link == NODE_CAN;
-}
-
-static void set_parameter(node_t *node, node_links_t link, uint32_t index, const frame_t *frame) {
-    struct goldfield_param_set_t set = {0};
-    (void)goldfield_param_set_unpack(&set, frame->data, frame->length); /* The length has been seen to. */
-    parameter_value_t value = {.kind = set.kind, .bits = set.value_unsigned};
-    if (set.kind == PARAMETER_SIGNED) {
-        memcpy(&value.bits, &set.value_signed, sizeof value.bits);
-    } else if (set.kind == PARAMETER_FLOAT) {
-        memcpy(&value.bits, &set.value_float, sizeof value.bits);
-    }
-    const parameter_status_t status = access_granted(&node->access, link_index(link))
-                                          ? parameters_set(&node->parameters, index, value)
-                                          : PARAMETER_LOCKED;
-    answer_parameter(node, link, index, status);
-    if (status == PARAMETER_OK) {
-        if (access_secret(index)) {
-            access_rekeyed(&node->access, link_index(link));
-        }
-        node->parameters_changed = true;
-        node->id = (uint16_t)parameters_unsigned(&node->parameters, PARAMETER_NODE);
-    }
-}
-
-/* Returns seven characters of a text as a message, zeros behind its end; the first character is the lowest byte. */
-static struct goldfield_param_text_t text_part(const char *text, uint32_t length, uint32_t part) {
-    const uint32_t begin = part * TEXT_CHARACTERS, left = length - begin;
-    uint8_t characters[8] = {0};
-    memcpy(characters, text + begin, left < TEXT_CHARACTERS ? left : TEXT_CHARACTERS);
-    struct goldfield_param_text_t message = {.part = (uint8_t)part, .last = left <= TEXT_CHARACTERS};
-    memcpy(&message.characters_0_to_3, characters, sizeof message.characters_0_to_3);
-    memcpy(&message.characters_4_to_6, characters + 4, 4);
-    return message;
-}
-
-static void describe_parameter(node_t *node, node_links_t link, uint32_t index) {
-    uint8_t data[8];
-    const parameter_entry_t *entry = parameters_next(index, node->role);
-    if (entry == NULL) {
-        const struct goldfield_param_description_t none = {.kind = GOLDFIELD_PARAM_DESCRIPTION_KIND_NONE_CHOICE};
-        (void)goldfield_param_description_pack(data, &none, sizeof data);
-        node_send(node, link, GOLDFIELD_PARAM_DESCRIPTION_FRAME_ID, index, data, sizeof data);
-        return;
-    }
-    const struct goldfield_param_description_t description = {
-        .kind = entry->kind,
-        .at_start = entry->at_start,
-        .stride = entry->stride,
-        .elements = entry->elements,
-        .rows = entry->rows,
-        .excluded = entry->excluded,
-        .value_default = entry->initial,
-    };
-    (void)goldfield_param_description_pack(data, &description, sizeof data);
-    node_send(node, link, GOLDFIELD_PARAM_DESCRIPTION_FRAME_ID, entry->first_id, data, sizeof data);
-    const struct goldfield_param_range_t range = {.minimum = entry->minimum, .maximum = entry->maximum};
-    (void)goldfield_param_range_pack(data, &range, sizeof data);
-    node_send(node, link, GOLDFIELD_PARAM_RANGE_FRAME_ID, entry->first_id, data, sizeof data);
-    const uint32_t length = (uint32_t)strlen(entry->text);
-    for (uint32_t part = 0; part * TEXT_CHARACTERS < length; part++) {
-        const struct goldfield_param_text_t text = text_part(entry->text, length, part);
-        (void)goldfield_param_text_pack(data, &text, sizeof data);
-        node_send(node, link, GOLDFIELD_PARAM_TEXT_FRAME_ID, entry->first_id, data, sizeof data);
-    }
-}
 
 /* ---- Identity and last reset ---- */
 
@@ -192,7 +104,8 @@ static void answer_access(node_t *node, node_links_t link, access_result_t resul
 
 static void challenge(node_t *node, node_links_t link, bool named) {
     uint64_t number;
-    const access_result_t result = named ? access_challenge(&node->access, link_index(link), &number) : ACCESS_WRONG;
+    const access_result_t result = named ? access_challenge(&node->access, node_link_index(link), &number)
+                                         : ACCESS_WRONG;
     if (result != ACCESS_NUMBER) {
         answer_access(node, link, result);
         return;
@@ -207,7 +120,7 @@ static void take_access(node_t *node, node_links_t link, const frame_t *frame) {
     struct goldfield_access_t message = {0};
     (void)goldfield_access_unpack(&message, frame->data, frame->length); /* The length has been seen to. */
     const uint64_t answer = (uint64_t)message.high << 32 | message.low;
-    const access_result_t result = access_answer(&node->access, link_index(link), answer);
+    const access_result_t result = access_answer(&node->access, node_link_index(link), answer);
     node->counters[COUNTER_WRONG_ANSWERS] = node_count(node->counters[COUNTER_WRONG_ANSWERS], result == ACCESS_WRONG);
     answer_access(node, link, result);
 }
@@ -407,7 +320,7 @@ static void take_command(node_t *node, node_links_t link, uint32_t index, const 
     if ((index == COMMAND_START || index == COMMAND_STOP) && !concerns(node, command.argument)) {
         return;
     }
-    if (index < 32u && (CHANGING >> index & 1u) != 0u && !access_granted(&node->access, link_index(link))) {
+    if (index < 32u && (CHANGING >> index & 1u) != 0u && !access_granted(&node->access, node_link_index(link))) {
         answer_command(node, link, index, GOLDFIELD_COMMAND_ANSWER_STATUS_LOCKED_CHOICE);
         return;
     }
@@ -421,7 +334,7 @@ static void take_command(node_t *node, node_links_t link, uint32_t index, const 
     }
     uint32_t status = GOLDFIELD_COMMAND_ANSWER_STATUS_UNKNOWN_CHOICE;
     if (index == COMMAND_LOCK) {
-        access_lock(&node->access, link_index(link));
+        access_lock(&node->access, node_link_index(link));
         status = GOLDFIELD_COMMAND_ANSWER_STATUS_OK_CHOICE;
     } else if (index <= COMMAND_NUMBER) {
         status = carry_out(node, index, command.argument, named) ? GOLDFIELD_COMMAND_ANSWER_STATUS_OK_CHOICE
@@ -442,12 +355,11 @@ void requests_take(node_t *node, node_links_t link, const frame_t *frame) {
         return;
     }
     if (message == GOLDFIELD_PARAM_SET_FRAME_ID) {
-        set_parameter(node, link, index, frame);
+        parameter_requests_set(node, link, index, frame);
     } else if (message == GOLDFIELD_PARAM_GET_FRAME_ID) {
-        parameter_value_t value;
-        answer_parameter(node, link, index, parameters_get(&node->parameters, index, &value));
+        parameter_requests_get(node, link, index);
     } else if (message == GOLDFIELD_PARAM_DESCRIBE_FRAME_ID) {
-        describe_parameter(node, link, index);
+        parameter_requests_describe(node, link, index);
     } else if (message == GOLDFIELD_COMMAND_FRAME_ID) {
         take_command(node, link, index, frame);
     } else if (message == GOLDFIELD_UPDATE_DATA_FRAME_ID) {

@@ -7,9 +7,7 @@
  *                                command has begun.
  *      requests_tell_last_reset  once behind the first heartbeat; a command asks for it again.
  *
- * Parameters. PARAM_SET and PARAM_GET to this node or to node 0 are answered by PARAM_VALUE on the link they came from;
- * a new node number acts after its answer. PARAM_DESCRIBE is answered by the description of a parameter that this role
- * uses, at most 8 messages (framing.md, "Descriptions").
+ * Parameters. PARAM_SET, PARAM_GET and PARAM_DESCRIBE to this node or to node 0 go to parameter_requests.h.
  *
  * COMMAND lets the board tell its unique id or its last reset, blink with its LED, reset itself, clear what keeps its
  * drive off, save its parameters, start or stop, show its signature, take another number, or take a new image
