@@ -33,7 +33,11 @@ OPTIMISED = ["-std=c11", "-O3", "-fno-math-errno", "-fno-trapping-math"]
 """Nothing reads errno or floating-point traps; saying so lets the compiler work on two coils at a time."""
 LIBRARIES = ("libgf_rig.so", "libgf_hostboard.so", "libgf_emulator.so")
 PAGE = ROOT / "host/goldfield/page/built/index.html"
-IMAGES = ("firmware/beacon.elf", "firmware/sensor.elf", "firmware/anchor.elf", "boot/boot.elf")
+IMAGES = (
+    *(f"firmware/{slot}{role}.elf" for slot in ("", "slot_b/") for role in ("beacon", "sensor", "anchor")),
+    "boot/boot.elf",
+)
+"""The images of both slots, so that an update file can be made of them, and the boot loader."""
 HEADLESS = "host/packaging/headless"
 """Files for a machine without a screen, which are copied from ``share/goldfield`` of an installation to ``/etc``."""
 PARTS = os.environ.get("GOLDFIELD_PARTS")

@@ -114,8 +114,20 @@ def test_the_wheel_holds_everything_but_sources_and_tests(wheel):
     assert {Path(name).suffix for name in names if name.startswith("goldfield/page/built/assets/")} >= {".js", ".css"}
     assert not [name for name in names if "page/web" in name]
     assert {f"hil_sim/built/{library}" for library in LIBRARIES} <= names
-    assert {f"hil_sim/built/firmware/{image}.elf" for image in IMAGES} <= names
+    assert {f"hil_sim/built/firmware/{slot}{image}.elf" for slot in ("", "slot_b/") for image in IMAGES} <= names
     assert not [name for name in names if name.endswith((".c", ".h", ".mk")) or name.startswith(("tests", "firmware"))]
+
+
+def test_an_update_file_is_made_of_the_images_in_the_wheel(installation):
+    """The command of docs/update.md, with the folder that it names."""
+    text = (ROOT / "docs/update.md").read_text()
+    assert "the installed package hil_sim, in its folders built/firmware and built/firmware/slot_b" in text
+    images = installation.packages / "hil_sim/built/firmware"
+    files = [images / slot / f"{image}.elf" for image in IMAGES for slot in ("", "slot_b")]
+    installation.run("goldfield", "keys", "make", "firmware.key")
+    installation.run("goldfield", "image", "sign", *files, "--key", "firmware.key", "--out", "all.gfi")
+    shown = installation.run("goldfield", "image", "show", "all.gfi")[0]
+    assert all(shown.count(image) == 2 for image in IMAGES)
 
 
 def test_nothing_of_the_checkout_is_seen_there(installation):
