@@ -11,37 +11,48 @@
 
 _Static_assert(sizeof(image_header_t) == HEADER_BYTES, "the header is what lies in front of the code");
 
-const image_header_t *image_header(const image_flash_t *flash, uint32_t slot) {
+/* An image as it was found: its length is read once, and stays as it was then. A word that a loss of power has left
+ * half programmed may read otherwise each time. */
+typedef struct {
+    const image_header_t *header; /* NULL: there is none. */
+    size_t message_bytes;         /* Bytes of header and code. */
+} found_t;
+
+static found_t find_image(const image_flash_t *flash, uint32_t slot) {
+    const found_t none = {NULL, 0};
     if (flash->words <= IMAGE_CODE) {
-        return NULL;
+        return none;
     }
     const image_header_t *const header = (const image_header_t *)(const void *)(flash->slot[slot] + IMAGE_HEADER);
     const uint32_t bytes = header->bytes;
-    const bool fits = bytes >= LEAST_BYTES && bytes % WORD_BYTES == 0u &&
-                      bytes / WORD_BYTES <= flash->words - IMAGE_CODE;
-    return header->magic == IMAGE_MAGIC && fits ? header : NULL;
+    if (header->magic != IMAGE_MAGIC || bytes < LEAST_BYTES || bytes % WORD_BYTES != 0u ||
+        bytes > (flash->words - IMAGE_CODE) * WORD_BYTES) {
+        return none;
+    }
+    return (found_t){header, HEADER_BYTES + bytes};
 }
 
-static size_t message_bytes(const image_header_t *header) {
-    return HEADER_BYTES + header->bytes;
+const image_header_t *image_header(const image_flash_t *flash, uint32_t slot) {
+    return find_image(flash, slot).header;
 }
 
-static bool crc_fits(const image_flash_t *flash, uint32_t slot, const image_header_t *header) {
-    return crc32(0, header, message_bytes(header)) == flash->slot[slot][IMAGE_CRC];
+static bool crc_fits(const image_flash_t *flash, uint32_t slot, const found_t *found) {
+    return crc32(0, found->header, found->message_bytes) == flash->slot[slot][IMAGE_CRC];
 }
 
 bool image_intact(const image_flash_t *flash, uint32_t slot) {
-    const image_header_t *const header = image_header(flash, slot);
-    return header != NULL && header->board == flash->board && header->address == flash->address[slot] &&
-           crc_fits(flash, slot, header);
+    const found_t found = find_image(flash, slot);
+    return found.header != NULL && found.header->board == flash->board &&
+           found.header->address == flash->address[slot] && crc_fits(flash, slot, &found);
 }
 
 image_status_t image_check(const image_flash_t *flash, uint32_t slot, const image_demand_t *demand) {
-    const image_header_t *const header = image_header(flash, slot);
+    const found_t found = find_image(flash, slot);
+    const image_header_t *const header = found.header;
     if (header == NULL) {
         return IMAGE_NONE;
     }
-    if (!crc_fits(flash, slot, header)) {
+    if (!crc_fits(flash, slot, &found)) {
         return IMAGE_DAMAGED;
     }
     if (header->board != flash->board) {
@@ -61,5 +72,5 @@ image_status_t image_check(const image_flash_t *flash, uint32_t slot, const imag
     }
     const uint8_t *const signature = (const uint8_t *)(flash->slot[slot] + IMAGE_SIGNATURE);
     const uint8_t *const message = (const uint8_t *)header;
-    return crypto_ed25519_check(signature, flash->key, message, message_bytes(header)) == 0 ? IMAGE_OK : IMAGE_UNSIGNED;
+    return crypto_ed25519_check(signature, flash->key, message, found.message_bytes) == 0 ? IMAGE_OK : IMAGE_UNSIGNED;
 }

@@ -42,7 +42,7 @@ install_refusal_t install_begin(install_t *install, uint32_t bytes, bool forced)
         return INSTALL_UNCONFIRMED;
     }
     if (install->flash.words <= IMAGE_CODE || bytes == 0u || bytes % WORD_BYTES != 0u ||
-        bytes / WORD_BYTES > install->flash.words - IMAGE_CODE) {
+        bytes > (install->flash.words - IMAGE_CODE) * WORD_BYTES) {
         return INSTALL_LENGTH;
     }
     install->words = IMAGE_CODE + bytes / WORD_BYTES;

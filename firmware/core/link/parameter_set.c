@@ -48,7 +48,9 @@ parameter_set_t parameter_set_read(parameters_t *parameters, const uint32_t *wor
     }
     for (uint32_t index = BEFORE_RUNS; index < count; index++) {
         const uint32_t head = words[index], values = head >> COUNT_SHIFT;
-        for (uint32_t i = 0; i < values; i++) {
+        /* The words lie in flash, where a head may read otherwise than it did a moment ago: their end is looked for
+         * again. */
+        for (uint32_t i = 0; i < values && index + 1u < count; i++) {
             index++;
             const parameter_value_t value = {(uint8_t)(head >> KIND_SHIFT & KIND_MASK), words[index]};
             if (parameters_set(parameters, (head & ID_MASK) + i, value) != PARAMETER_OK) {

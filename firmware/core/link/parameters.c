@@ -11,6 +11,7 @@
 
 static float bits_float(uint32_t bits) {
     float value;
+    /* cppcheck-suppress misra-c2012-21.15 ; a float is read from its bits */
     memcpy(&value, &bits, sizeof value);
     return value;
 }
@@ -27,7 +28,8 @@ static const parameter_entry_t *find(uint32_t id, uint32_t *place) {
     for (size_t i = 0; i < ENTRIES; i++) {
         const parameter_entry_t *entry = &parameter_table[i];
         const uint32_t distance = id - entry->first_id; /* It wraps below first_id, and is large. */
-        const uint32_t row = entry->rows > 1u ? distance / entry->stride : 0u, column = distance - row * entry->stride;
+        const uint32_t row = entry->rows > 1u ? distance / entry->stride : 0u;
+        const uint32_t column = entry->rows > 1u ? distance % entry->stride : distance;
         if (row < entry->rows && column < entry->elements) {
             *place = first_place + row * entry->elements + column;
             return entry;

@@ -15,6 +15,8 @@
 #define COUNT_MASK   0xFFFFu
 #define BEFORE_DATA  2u
 #define AROUND_DATA  3u /* Words in front of the commit word beside the data. */
+#define END_WORDS    2u /* Commit and settled word. */
+#define BEHIND_DATA  3u /* CRC, commit and settled word. */
 #define RECORD_EXTRA 5u
 #define COMMIT       0x5AC3A53Cu
 #define SETTLED      0x3CA5C35Au
@@ -43,24 +45,25 @@ static const uint32_t *words_of(const store_t *store, uint32_t slot) {
 
 /* ---- Reading ---- */
 
-/* Words of a record of this head, with all around them; 0 if it is none or reaches beyond the slot. */
-static uint32_t record_words(const store_t *store, const uint32_t *slot, uint32_t index) {
-    const uint32_t head = slot[index], words = (head & COUNT_MASK) + RECORD_EXTRA;
-    return (head & ~COUNT_MASK) == RECORD && words <= store->flash.words - index ? words : 0u;
+/* Index behind a record that begins here; 0 if none does, or if it would reach beyond the slot. A head that a loss of
+ * power has left half programmed may read otherwise each time: where its record ends is asked once, and kept. */
+static uint32_t end_of(const store_t *store, const uint32_t *words, uint32_t index) {
+    const uint32_t head = words[index], end = index + (head & COUNT_MASK) + RECORD_EXTRA;
+    return (head & ~COUNT_MASK) == RECORD && end <= store->flash.words ? end : 0u;
 }
 
-/* Whether the CRC of a record fits, committed or not. */
-static bool is_whole(const uint32_t *record) {
-    const uint32_t checked = (record[0] & COUNT_MASK) + BEFORE_DATA;
-    return crc32(0, record, (size_t)checked * WORD_BYTES) == record[checked];
+/* Whether the CRC of the record between two indices fits, committed or not. */
+static bool is_whole(const uint32_t *words, uint32_t index, uint32_t end) {
+    const uint32_t checked = end - BEHIND_DATA;
+    uint32_t crc = 0;
+    for (uint32_t i = index; i < checked; i++) {
+        crc = crc32(crc, &words[i], WORD_BYTES);
+    }
+    return crc == words[checked];
 }
 
-static bool is_valid(const uint32_t *record) {
-    return record[(record[0] & COUNT_MASK) + AROUND_DATA] == COMMIT && is_whole(record);
-}
-
-static uint32_t commit_at(const store_t *store, uint32_t slot, uint32_t record) {
-    return record + (words_of(store, slot)[record] & COUNT_MASK) + AROUND_DATA;
+static bool is_valid(const uint32_t *words, uint32_t index, uint32_t end) {
+    return words[end - END_WORDS] == COMMIT && is_whole(words, index, end);
 }
 
 /* Whether what lies in a slot counts: one of the three things in front of the records may be damaged. A slot that is
@@ -74,7 +77,8 @@ static bool is_live(const uint32_t *words) {
 /* What a slot holds. */
 typedef struct {
     uint32_t newest;   /* Index of its newest record, 0: none. */
-    uint32_t dangling; /* Index of what begins like a record behind all good ones, and is not void; 0: none. */
+    uint32_t commit;   /* Index of the commit word of that. */
+    uint32_t dangling; /* The same of what begins like a record behind all good ones, and is not void; 0: none. */
     uint32_t behind;   /* Index behind the last word that is not erased, and behind all that heads lay claim to. */
     bool ready;        /* Whether records may be added. */
 } contents_t;
@@ -89,18 +93,20 @@ static contents_t look_through(const store_t *store, uint32_t slot) {
         found.behind--;
     }
     uint32_t index = SLOT_HEAD, reach = 0;
-    while (index < found.behind) { /* An erased word is no head. */
-        const uint32_t size = record_words(store, words, index);
-        reach = size != 0u && index + size > reach ? index + size : reach;
-        if (size != 0u && is_valid(words + index)) {
+    /* An erased word is no head, and a record without a word of data needs room for all around it. */
+    while (index < found.behind && index <= store->flash.words - RECORD_EXTRA) {
+        const uint32_t end = end_of(store, words, index);
+        reach = end > reach ? end : reach;
+        if (end > index && is_valid(words, index, end)) {
             found.newest = index; /* Records follow each other in a slot. */
+            found.commit = end - END_WORDS;
             found.dangling = 0;
-        } else if (size != 0u && found.dangling == 0u && words[index + size - 1u] != 0u) {
-            found.dangling = index;
+        } else if (end > index && found.dangling == 0u && words[end - 1u] != 0u) {
+            found.dangling = end - END_WORDS;
         }
         /* Power that is lost within a head leaves an erased word behind it. A head with its number is whole, and what
          * is in its record is data, whatever it looks like. */
-        index += size != 0u && words[index + 1u] != ERASED ? size : 1u;
+        index = end > index && words[index + 1u] != ERASED ? end : index + 1u;
     }
     found.behind = reach > found.behind ? reach : found.behind;
     found.ready = words[0] == SLOT && words[WEAR] == ~words[WEAR + 1u] && words[SLOT_READY] == READY;
@@ -117,6 +123,7 @@ static void find_newest(store_t *store) {
             const uint32_t sequence = words_of(store, slot)[found.newest + 1u];
             if (store->newest == 0u || sequence >= store->sequence) {
                 store->newest = found.newest;
+                store->commit = found.commit;
                 store->slot = slot;
                 store->sequence = sequence;
             }
@@ -134,9 +141,8 @@ const uint32_t *store_read(const store_t *store, uint32_t *count) {
         *count = 0;
         return NULL;
     }
-    const uint32_t *const record = words_of(store, store->slot) + store->newest;
-    *count = record[0] & COUNT_MASK;
-    return record + BEFORE_DATA;
+    *count = store->commit - store->newest - AROUND_DATA;
+    return words_of(store, store->slot) + store->newest + BEFORE_DATA;
 }
 
 store_outcome_t store_outcome(const store_t *store) {
@@ -178,15 +184,15 @@ static uint8_t next_mend(store_t *store) {
     for (uint32_t slot = 0; slot < STORE_SLOTS; slot++) {
         const contents_t found = look_through(store, slot);
         if (found.dangling != 0u) {
-            store->at = commit_at(store, slot, found.dangling);
+            store->at = found.dangling;
             store->into = slot;
             return PHASE_VOID;
         }
     }
     if (store->newest != 0u) {
-        store->at = commit_at(store, store->slot, store->newest);
+        store->at = store->commit;
         store->into = store->slot;
-        if (words_of(store, store->slot)[store->at + 1u] != SETTLED) {
+        if (words_of(store, store->slot)[store->commit + 1u] != SETTLED) {
             return PHASE_RENEW;
         }
     }
@@ -232,8 +238,8 @@ static uint32_t record_word(const store_t *store) {
  * found. */
 static bool hold_record(const uint32_t *words, uint32_t count) {
     for (uint32_t i = 0; i + AROUND_DATA < count; i++) {
-        const bool fits = (words[i] & COUNT_MASK) + AROUND_DATA < count - i;
-        if ((words[i] & ~COUNT_MASK) == RECORD && fits && is_valid(words + i)) {
+        const uint32_t end = i + (words[i] & COUNT_MASK) + RECORD_EXTRA; /* Its settled word may be missing. */
+        if ((words[i] & ~COUNT_MASK) == RECORD && end <= count + 1u && is_valid(words, i, end)) {
             return true;
         }
     }
@@ -266,8 +272,10 @@ static store_step_t step_of(const store_t *store) {
     switch (store->phase) {
     case PHASE_ERASE:
         return (store_step_t){STORE_ERASE, store->into, 0, 0};
+    /* cppcheck-suppress misra-c2012-16.3 ; the clause above ends by its return */
     case PHASE_RETIRE:
         return program(store, cursor, 0);
+    /* cppcheck-suppress misra-c2012-16.3 ; the clause above ends by its return */
     case PHASE_VOID:
         return program(store, store->at + cursor, 0);
     case PHASE_RENEW:
@@ -352,9 +360,12 @@ static uint8_t after(store_t *store) {
     case PHASE_READY:
         return PHASE_RECORD;
     case PHASE_RECORD:
-        return is_whole(words_of(store, store->into) + store->at) ? PHASE_COMMIT : after_failure(store);
+        return is_whole(words_of(store, store->into), store->at, store->at + store->count + RECORD_EXTRA)
+                   ? PHASE_COMMIT
+                   : after_failure(store);
     default:
         store->newest = store->at;
+        store->commit = store->at + store->count + AROUND_DATA;
         store->slot = store->into;
         store->sequence++;
         store->outcome = STORE_SAVED;

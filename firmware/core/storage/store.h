@@ -35,7 +35,7 @@
  * A word that does not take its value makes the save begin anew behind it, the third time in the other slot;
  * STORE_ATTEMPTS end it.
  *
- * Contexts: all calls come from main. Memory: store_t takes about 80 bytes. Time: store_open() passes once over both
+ * Contexts: all calls come from main. Memory: store_t takes about 90 bytes. Time: store_open() passes once over both
  * slots, and a few CRCs; store_next() one comparison, at the end of a save the CRC of the record. Wear: a slot of w
  * words is erased once in 2 (w - 4) / (n + 6) saves of n words: 16 KiB and 250 words make 31, and 10,000 erasures
  * 310,000 saves.
@@ -54,7 +54,7 @@
 /* Where the slots are: they are read like memory. */
 typedef struct {
     const uint32_t *slot[STORE_SLOTS];
-    uint32_t words; /* Words of a slot. */
+    uint32_t words; /* Words of a slot, STORE_OVERHEAD at least. */
 } store_flash_t;
 
 typedef enum { STORE_NOTHING = 0, STORE_PROGRAM = 1, STORE_ERASE = 2 } store_kind_t;
@@ -82,6 +82,7 @@ typedef struct {
     uint32_t crc;
     uint32_t sequence; /* The newest record's number. */
     uint32_t newest;   /* Its index in its slot; 0: there is none. */
+    uint32_t commit;   /* Index of its commit word. */
     uint32_t slot;     /* Its slot. */
     uint32_t at;       /* Index of the record that is being written or mended. */
     uint32_t into;     /* Its slot. */
