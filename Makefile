@@ -31,6 +31,7 @@ include hil_sim/rig/rig.mk
 include tests/tests.mk
 include tests/fuzz/fuzz.mk
 include tests/coverage/coverage.mk
+include tests/proofs/proofs.mk
 include tests/checks.mk
 include docs/docs.mk
 

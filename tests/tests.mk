@@ -16,13 +16,13 @@ test-wheels: wheels ## Install the wheels of `make wheels` where there is no com
 test-fast: all $(BUILD)/qemu.stamp ## The tests that take little time: four minutes in all
 	@$(PYTEST) -m "not slow and not long"
 
-test-long: all $(BUILD)/qemu.stamp $(BUILD)/ngspice.stamp $(BUILD)/chromium.stamp $(BUILD)/mosquitto.stamp $(BUILD)/foxglove-reader.stamp ## The tests that take more
+test-long: all $(BUILD)/qemu.stamp $(BUILD)/ngspice.stamp $(BUILD)/chromium.stamp $(BUILD)/mosquitto.stamp $(BUILD)/foxglove-reader.stamp $(BUILD)/frama-c.stamp ## The tests that take more
 	@$(PYTEST) -m "long and not slow"
 
 test-host-boards: all ## End to end on host boards what depends on the boards, also what is slow on emulated ones
 	@$(PYTEST) tests/hil --goldfield-rig host -m both_boards
 
-test-slow: all $(BUILD)/qemu.stamp $(BUILD)/ngspice.stamp $(BUILD)/chromium.stamp $(BUILD)/mosquitto.stamp $(BUILD)/foxglove-reader.stamp ## All tests, the slow ones too
+test-slow: all $(BUILD)/qemu.stamp $(BUILD)/ngspice.stamp $(BUILD)/chromium.stamp $(BUILD)/mosquitto.stamp $(BUILD)/foxglove-reader.stamp $(BUILD)/frama-c.stamp ## All tests, the slow ones too
 	@$(PYTEST)
 
 COSTS ?= tests -m "not slow"
