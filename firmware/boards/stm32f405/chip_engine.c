@@ -310,14 +310,17 @@ static bool in_step(const DMA_stream_registers *stream, uint32_t items, uint32_t
 
 /* The coil currents of chip c are converted behind its middle, when stream 4 has done c + 1 transfers, until the next
  * chip's. That is right if this interrupt is late by less than half a chip. The bridges stay on for two more chips if
- * the streams that bring their levels, set-points and fuse move together, and somebody plans what they bring. Where a
+ * the streams that bring their levels, set-points, sync wire and fuse move together, somebody plans what they bring,
+ * and a beacon's currents behind the edge come, too: TIM3 starts them, whose stream goes on where it stands. Where a
  * break was first, its interrupt comes next, and tells why there is no current. */
 static void take_currents(const uint16_t count[HAL_CHANNELS]) {
     const uint32_t position = before(transfers(&DMA2->S[4], EDGE_ITEMS));
     const bool planned = board.chips_since_plan < RING_CHIPS + HAL_BLOCK_CHIPS;
+    const bool edge = board.edge_taken || hal_role_samples(board.role);
+    board.edge_taken = false;
     board.chips_since_plan += planned ? 1u : 0u;
-    if (planned && in_step(&DMA2->S[1], EDGE_8_ITEMS, position) && in_step(&DMA1->S[5], 1u, position) &&
-        in_step(&DMA2->S[7], 1u, position))
+    if (planned && edge && in_step(&DMA2->S[1], EDGE_8_ITEMS, position) && in_step(&DMA1->S[5], 1u, position) &&
+        in_step(&DMA1->S[2], 1u, position) && in_step(&DMA2->S[7], 1u, position))
         bridge_watch();
     if (!bridge_lost())
         board.events.current(board.events.context, absolute_chip(board.first_chip, position), count);
@@ -334,6 +337,7 @@ void ADC_Handler(void) {
         board.events.middle(board.events.context, chip_now().chip, count);
     }
     if (converters_take_edge(&board, count)) {
+        board.edge_taken = true;
         if (!bridge_lost())
             board.events.edge(board.events.context, chip_now().chip, count);
         converters_behind_edge(&board);

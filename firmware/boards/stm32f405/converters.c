@@ -194,7 +194,8 @@ static bool scans(const hal_t *hal, uint32_t now) {
                                        : now >= EDGE_START && now < EDGE_DONE;
 }
 
-/* Returns which currents were converted last, at a count of the chip. */
+/* Returns which currents were converted last, at a count of the chip. The two timers that count it tell the same,
+ * unless one of them stands. */
 static look_t latest(const hal_t *hal, uint32_t now) {
     const uint32_t end = current_start(hal) + CONVERSION_TICKS;
     if (now >= end - CURRENTS_APART && now < end)
@@ -224,7 +225,8 @@ look_t converters_take(hal_t *hal, uint16_t count[HAL_CHANNELS]) {
     };
     count[0] = (uint16_t)ADC1->JDR2;
     count[1] = (uint16_t)ADC2->JDR2;
-    return latest(hal, now);
+    const look_t look = latest(hal, now);
+    return latest(hal, TIM1->CNT) == look ? look : LOOK_NONE;
 }
 
 bool converters_take_edge(const hal_t *hal, uint16_t count[HAL_CHANNELS]) {

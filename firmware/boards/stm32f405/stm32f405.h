@@ -103,6 +103,7 @@ struct hal {
     uint16_t fuse[RING_CHIPS]; /* Read by DMA: words for EGR of TIM1. */
 
     /* converters.c */
+    bool edge_taken;                  /* The currents behind an edge came since those before the end of a chip. */
     bool sampling;                    /* The samples in the buffer are complete and in step. */
     volatile bool temperature_wanted; /* A block has begun: it is to start behind a beacon's next edge. */
     volatile bool temperature_due; /* The injected conversion is that of the temperature. JSQR says so, too, but would

@@ -60,7 +60,7 @@ static void hang_interrupt(uint32_t irq) {
 }
 
 static void stop(uint32_t kind, uint32_t which) {
-    static TIM_registers *const timers[] = {0, TIM1, TIM2, TIM3, 0, 0, 0, 0, TIM8};
+    static TIM_registers *const timers[] = {0, TIM1, TIM2, TIM3, TIM4, 0, 0, 0, TIM8};
     static ADC_registers *const converters[] = {0, ADC1, ADC2, ADC3};
     DMA_stream_registers *stream = which < 16u ? &DMA1->S[which & 7u] : &DMA2->S[which & 7u];
     switch (kind) {

@@ -205,13 +205,13 @@ def test_a_serial_port_that_sends_no_more(driving):
     assert_restart(driving(MASK_INTERRUPT, DMA1_STREAM3), {"serial link"})
 
 
-@pytest.mark.parametrize(("timer", "parts"), [(3, {"coil currents"}), (2, set())])
+@pytest.mark.parametrize(("timer", "parts"), [(4, {"coil currents"}), (2, set())])
 def test_a_timer_that_stops(driving, timer, parts):
     """Timer 2 is the clock, without which nothing is noted either."""
     assert_restart(driving(STOP_TIMER, timer), parts)
 
 
-@pytest.mark.parametrize("timer", [1, 8])
+@pytest.mark.parametrize("timer", [1, 3, 8])
 def test_a_timer_of_the_edges_that_stops_switches_the_coil_off_for_good(driving, timer):
     """The other timers go on, so everything moves, if slowly: the board stays up and tells why its coil is off."""
     board = driving(STOP_TIMER, timer)
