@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 
 from goldfield_protocol import FrameDecoder, decode, encode_frame
-from goldfield_protocol.messages import TYPE_MASK, database
+from goldfield_protocol.messages import TYPE_MASK, Identifier, database, shapes
 from tests.bench.peers.bench import Bench, named
 from tests.bench.peers.row import Goal, Row
 
@@ -23,7 +23,10 @@ def frames(names: tuple[str, ...], seed: int = 1) -> list[tuple[int, bytes]]:
     rng, found = random.Random(seed), []
     for number, name in enumerate(names):
         message = database().get_message_by_name(name)
-        found.append((message.frame_id | (2 + number % 8) << 12 | 100, rng.randbytes(message.length)))
+        type_ = Identifier.unpack(message.frame_id).type
+        index = min(2 + number % 8, shapes()[type_].largest_index)
+        found.append((Identifier(type_, index, 100).pack(), rng.randbytes(message.length)))
+        assert decode(*found[-1]) is not None
     return found
 
 
