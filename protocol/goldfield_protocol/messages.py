@@ -235,8 +235,7 @@ def _signals_of(signals: Iterable[Signal]) -> Callable[[int], dict[str, float]]:
         if one.is_signed:
             raw = f"(({raw[1:-1]} ^ {1 << (one.length - 1)}) - {1 << (one.length - 1)})"
         parts.append(f"{one.name!r}: {raw} * {float(one.scale)!r} + {float(one.offset)!r}")
-    read = eval(f"lambda bits: {{{', '.join(parts)}}}", {"__builtins__": {}})
-    assert callable(read)
+    read: Callable[[int], dict[str, float]] = eval(f"lambda bits: {{{', '.join(parts)}}}", {"__builtins__": {}})
     return read
 
 

@@ -93,14 +93,18 @@ def append(path: Path, run: Run) -> None:
 
 
 def newest(runs: Sequence[Run], subjects: Sequence[str]) -> Run:
-    """Return the last run with what earlier ones of the same commit, day and machine have of subjects that it lacks."""
+    """Return the last run with what earlier ones of the same day and machine have of subjects that it lacks.
+
+    Its commit is then those of all runs whose rows it has, oldest first.
+    """
     last = runs[-1]
-    same = [run for run in runs if (run.commit, run.date, run.processor) == (last.commit, last.date, last.processor)]
-    rows: dict[str, list[Row]] = {}
-    for run in same:
-        rows |= {name: [row for row in run.rows if row.subject == name] for name in {row.subject for row in run.rows}}
-    found = tuple(row for name in subjects for row in rows.get(name, []))
-    return replace(last, load=max(run.load for run in same), rows=found)
+    made: dict[str, Run] = {}
+    for run in runs:
+        if (run.date, run.processor) == (last.date, last.processor):
+            made |= {row.subject: run for row in run.rows}
+    rows = tuple(row for name in subjects if name in made for row in made[name].rows if row.subject == name)
+    commits = list(dict.fromkeys(run.commit for run in runs if run in made.values()))
+    return replace(last, commit=" ".join(commits), load=max(run.load for run in made.values()), rows=rows)
 
 
 CHANGED = 1.15

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from tests.bench.peers import history, page
-from tests.bench.peers.__main__ import main
+from tests.bench.peers.__main__ import SUBJECTS, main
 from tests.bench.peers.bench import Bench
-from tests.bench.peers.history import Run, append, compared, newest, read
+from tests.bench.peers.history import REFERENCE, Run, append, compared, newest, read
 from tests.bench.peers.measure import LEAST_S, added_bytes, paired
 from tests.bench.peers.row import Goal, Row
 from tests.bench.peers.table import cells, differences, markdown, number, text
@@ -173,12 +173,21 @@ def test_numbers_show_three_digits_that_count(value: float | None, shown: str) -
     assert number(value) == shown
 
 
-def test_a_run_of_several_calls_has_the_last_of_each_subject() -> None:
+def test_a_run_of_several_calls_has_the_last_of_each_subject_and_tells_its_commits() -> None:
     location = replace(ROW, subject="location")
-    older = replace(RUN, rows=(location, replace(ROW, ratio=9.0)), load=7.0)
-    other = replace(RUN, commit="fedcba9876", rows=(replace(ROW, subject="plan"),))
-    found = newest([other, older, RUN], ["decode", "plan", "location"])
-    assert found == replace(RUN, rows=(ROW, location), load=7.0)
+    older = replace(RUN, commit="abc", rows=(location, replace(ROW, ratio=9.0)), load=7.0)
+    replaced = replace(RUN, commit="def", rows=(location,), load=9.0)
+    other = replace(RUN, date="2026-11-28", rows=(replace(ROW, subject="plan"),))
+    found = newest([other, replaced, older, RUN], ["decode", "plan", "location"])
+    assert found == replace(RUN, commit="abc 0123456789", rows=(ROW, location), load=7.0)
+
+
+def test_the_page_has_the_table_of_the_last_run_that_is_kept() -> None:
+    runs = read(REFERENCE)
+    assert runs
+    shown = page.PAGE.read_text(encoding="utf-8")
+    assert page.written(shown, runs[-1]) == shown, "run `python -m tests.bench.peers --keep`, or restore the page"
+    assert {row.subject for row in runs[-1].rows} <= set(SUBJECTS)
 
 
 def test_a_page_without_the_part_is_told_and_with_it_keeps_the_rest() -> None:
