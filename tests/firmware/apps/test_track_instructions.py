@@ -13,7 +13,7 @@ from goldfield_protocol.parameters import build_page
 from hil_sim.clib import ROOT
 from tests.firmware.apps.test_app_instructions import FLAGS, HARNESS
 from tests.firmware.apps.test_sensor_app import MATRIX, ZERO
-from tests.firmware.core.pose.test_pose_instructions import Machine
+from tests.firmware.cortex_m4 import Machine
 from tests.firmware.host_rig import gold_chips
 
 MORE = """

@@ -1,16 +1,15 @@
 """What the block filter costs on a Cortex-M4: instructions, stack and memory, with the image's flags (Unicorn)."""
 
 import struct
-import subprocess
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from hil_sim.clib import ROOT
-from tests.firmware.core.pose.test_pose_instructions import FLAGS, RAM, Machine
 from tests.firmware.core.track.dense import CHIP_S, State
 from tests.firmware.core.track.single import BLOCK_S, CHIPS, Bits, cube, sampled
+from tests.firmware.cortex_m4 import Machine, link
 
 NOISE = 0.02  # .2 mG
 CHIP_TICKS = 16422
@@ -76,17 +75,7 @@ def machine(tmp_path_factory):
     source, elf = directory / "harness.c", directory / "block.elf"
     source.write_text(HARNESS)
     core = [path for folder in ("pose", "math", "track") for path in (ROOT / "firmware/core" / folder).glob("*.c")]
-    layout = ("-Ttext=0x08000000", f"-Tdata={RAM:#x}", "-nostartfiles", "--specs=nano.specs")
-    command = [
-        "arm-none-eabi-gcc",
-        *FLAGS,
-        "-ffp-contract=fast",
-        f"-I{ROOT / 'firmware'}",
-        str(source),
-        *map(str, sorted(core)),
-        *layout,
-    ]
-    subprocess.run([*command, "-Wl,-e,0,--no-warn-rwx-segments", "-o", str(elf)], check=True)
+    link(elf, [source, *sorted(core)], ["-O3", "-ffp-contract=fast", f"-I{ROOT / 'firmware'}"])
     return Machine(elf)
 
 
