@@ -28,12 +28,13 @@ $(COVERED)/libgf_hostboard.so: $(COVERED_BOARD)
 
 $(THIRD_PARTY_SOURCES:%.c=$(COVERED)/core/%.o) $(THIRD_PARTY_SOURCES:%.c=$(COVERED)/board/%.o): private COVERED_COUNTED := -O2 -MMD
 
+# One process: a worker of xdist that is ended takes the counts of gcov with it.
 COVERED_PYTHON := GOLDFIELD_ROOT=$(CURDIR) OPENBLAS_NUM_THREADS=1 $(PYTHON) -m coverage
 
 coverage: all $(BUILD)/qemu.stamp $(COVERED)/libgf_core.so $(COVERED)/libgf_hostboard.so ## Lines of firmware/core and host that the fast tests run, by folder, held to 95 % each (a quarter of an hour)
 	@find $(COVERED) -name '*.gcda' -delete; rm -rf $(COVERED)/host; mkdir -p $(COVERED)/host
 	@GOLDFIELD_LIBRARIES=$(abspath $(COVERED)) $(COVERED_PYTHON) run --rcfile=tests/coverage/coverage.ini \
-	  -m pytest -n 2 --dist worksteal -q --ignore=tests/packaging $(COVERED_TESTS) || echo "coverage: tests failed; the table is of what ran"
+	  -m pytest -q --ignore=tests/packaging $(COVERED_TESTS) || echo "coverage: tests failed; the table is of what ran"
 	@$(COVERED_PYTHON) combine -q --rcfile=tests/coverage/coverage.ini
 	@$(COVERED_PYTHON) json -q --rcfile=tests/coverage/coverage.ini -o $(COVERED)/host.json
 	@$(PYTHON) -m tests.coverage.report
