@@ -89,7 +89,7 @@ static contents_t look_through(const store_t *store, uint32_t slot) {
     if (found.behind < SLOT_HEAD || !is_live(words)) {
         return found;
     }
-    while (words[found.behind - 1u] == ERASED) { /* A live slot has words that are not. */
+    while (found.behind > 0u && words[found.behind - 1u] == ERASED) {
         found.behind--;
     }
     uint32_t index = SLOT_HEAD, reach = 0;
