@@ -4,7 +4,6 @@
 
 #include "core/drive/thermistor.h"
 #include "goldfield.h"
-#include "services/drive_looks.h"
 
 static void drive_stop(drive_t *drive) {
     drive->phase = DRIVE_IDLE; /* It comes first: the current interrupt now keeps its hands off. */

@@ -34,7 +34,7 @@ def test_every_key_of_a_site_file_is_explained() -> None:
 
 
 def test_every_key_of_a_scenario_is_explained() -> None:
-    top = {"name", "seed", "degree", "power_on_spread_s", "slots", "sync", "half_space"}
+    top = {"name", "seed", "degree", "power_on_spread_s", "slots", "sync", "half_space", "shared_codes"}
     ambient = {"earth_T", "mains", "impulses"}
     keys = top | ambient | {*reading.SENSOR_KEYS, *reading.BEACON_KEYS, *reading.COIL_KEYS, *reading.CLOCK_KEYS}
     keys |= {*reading.CAN_KEYS, *events.EVENT_KEYS, *installation.INSTALLATION_KEYS, *motions.KNOWN_POINT_KEYS}

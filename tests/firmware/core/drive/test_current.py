@@ -400,7 +400,7 @@ def test_a_slow_coil_that_is_there_at_the_end_is_not_open_amid_the_chip(core, sl
     """A coil of any time constant that just reaches half of what is asked, 5 A, when the chip ends, from -10 A."""
     _, lib = core
     for start_A in (-10.0, -5.0, 0.0, 4.0):
-        done = (1.0 - math.exp(-share / slow)) / (1.0 - math.exp(-1.0 / slow))  # Of the way to the chip's end.
+        done = (1.0 - math.exp(-share / slow)) / (1.0 - math.exp(-1.0 / slow))  # Share of the way to the chip's end.
         came_A = start_A + done * (5.0 - start_A)
         loop, asked, _ = held(core)
         counts = [2048 + round(ampere / SENSE) for ampere in (start_A, came_A, 5.0)]
