@@ -10,12 +10,14 @@ import numpy as np
 
 from goldfield_protocol import encode
 from goldfield_protocol.parameters import PARAMETERS
+from hil_sim.rig import Rig
 from hil_sim.scenario import Ambient, Bring, Clock, Move, Scenario
 from hil_sim.scenario.parts import Impulses, Mains
 from hil_sim.world.magnet import Magnet
+from hil_sim.world.roaming import Roaming
 from hil_sim.world.sheet import Sheet
 from tests.campaign import links
-from tests.campaign.trial import LOW_M, Kind, Trial
+from tests.campaign.trial import HIGH_M, LOW_M, RATE_RAD_S, SPEED_M_S, Kind, Trial
 
 AWAY_S = 1000.0
 """A board that is to stay dead gets its power back so much later, or when somebody gives it."""
@@ -331,8 +333,8 @@ def errors(probability: float) -> Kind:
     return Kind("CAN", f"bit errors {probability:g}", begin, lambda trial: trial.rig.can_errors(0.0))
 
 
-def twin(trial: Trial) -> None:
-    """Let a second sensor with the first one's number send the frames of half a second ago."""
+def again(trial: Trial) -> None:
+    """Let the sensor's frames of half a second ago come once more."""
     kept: list[Any] = []
     node = trial.scenario.sensor.node
 
@@ -341,6 +343,29 @@ def twin(trial: Trial) -> None:
         return [*frames, *(kept.pop(0) if len(kept) > 25 else [])]
 
     trial.link.spoil = spoil
+
+
+def twin(trial: Trial) -> None:
+    """Let a second sensor have the first one's number: that of a bench of its own, which roams on another path."""
+    motion = Roaming(trial.seed + 1000, LOW_M, HIGH_M, SPEED_M_S, RATE_RAD_S)
+    second = Rig(replace(trial.scenario, motion=motion, seed=trial.seed + 1000), trial.boards)
+    trial.notes["second"] = second
+    second.advance(trial.rig.now_s)
+    second.can_read()
+    node = trial.scenario.sensor.node
+
+    def spoil(frames: Any) -> Any:
+        second.advance(max(trial.rig.now_s - second.now_s, 0.0))
+        others = [frame for frame in second.can_read() if frame.identifier & 0xFFF == node]
+        return sorted([*frames, *others], key=lambda frame: frame.time_s)
+
+    trial.link.spoil = spoil
+
+
+def twin_gone(trial: Trial) -> None:
+    """Take the second sensor away."""
+    quiet(trial)
+    trial.notes["second"].close()
 
 
 def paused(trial: Trial) -> None:
@@ -354,7 +379,8 @@ LINKS = [
     errors(1e-3),
     flooded("a node babbles with the first right", BABBLE_FIRST),
     flooded("a node babbles with the last right", BABBLE_LAST),
-    Kind("CAN", "a second sensor of one number", twin, quiet),
+    Kind("CAN", "the sensor's frames come again", again, quiet),
+    Kind("CAN", "a second sensor of one number", twin, twin_gone),
     Kind("CAN", "the host sleeps", paused),
     Kind("serial", "the host sleeps", paused, serial=True),
     *(

@@ -131,6 +131,8 @@ class Trial:
     ----------
     rig : Rig
     link : CanLink or SerialLink
+    boards : str
+        Which boards the rig has: "host" or "emulated".
     random : numpy.random.Generator
         Draws what of the kind is not fixed: which beacon, which axis.
     scenario : Scenario
@@ -139,7 +141,7 @@ class Trial:
     """
 
     def __init__(self, kind: Kind, seed: int, boards: str = "host") -> None:
-        self.kind, self.seed = kind, seed
+        self.kind, self.seed, self.boards = kind, seed, boards
         self.random = np.random.default_rng([seed, 16])
         self.at_s = BOOT_S + SOUND_S + float(self.random.uniform(0.0, 0.2))
         self.until_s = self.at_s + kind.lasts_s
