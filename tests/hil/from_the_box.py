@@ -21,7 +21,7 @@ from hil_sim.rig.boards import factory
 from hil_sim.scenario import load_scenario
 from hil_sim.scenario.site_file import site_toml
 from tests.firmware.host_rig import PIN_ENABLE
-from tests.hil.rig_link import RigLink
+from tests.hil.rig_link import RigLink, RigSerialLink
 
 BOOTED_S = 2.5
 CALIBRATION = ("zero_x", "zero_y", "zero_z", "calibration")
@@ -79,17 +79,18 @@ class Bench:
         self.rig.advance(BOOTED_S)
         self.link = None
 
-    def run(self, *words):
-        """Return exit code, stdout and stderr of a command on a link of its own."""
-        self.link = RigLink(self.rig)
+    def run(self, *words, port=None):
+        """Return exit code, stdout and stderr of a command on a link of its own: the bus, or the port of a board."""
+        self.link = RigLink(self.rig) if port is None else RigSerialLink(self.rig, port)
         opening.open_link, conversations.time = lambda *_: self.link, self.link
         out, told = io.StringIO(), io.StringIO()
+        link = ["--can", "socketcan:can0"] if port is None else ["--port", f"/dev/ttyUSB{port}"]
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(told):
-            code = main([*words, "--can", "socketcan:can0"])
+            code = main([*words, *link])
         return code, out.getvalue(), told.getvalue()
 
-    def lines(self, *words):
-        code, out, told = self.run(*words, "--json")
+    def lines(self, *words, port=None):
+        code, out, told = self.run(*words, "--json", port=port)
         assert code == 0, told
         return [json.loads(line) for line in out.splitlines()]
 

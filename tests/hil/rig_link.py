@@ -70,21 +70,22 @@ class RigLink(BusSource):
 
 
 class RigSerialLink(RigLink):
-    """The sensor's serial line in place of the bus."""
+    """The serial line of a board, the sensor's if not told, in place of the bus."""
 
     link_bit = 1
 
-    def __init__(self, rig):
+    def __init__(self, rig, board=0):
         self._decoder = FrameDecoder()
+        self._board = board
         super().__init__(rig)
 
     def send(self, identifier, data):
-        self.rig.serial_write(encode_frame(identifier, data))
+        self.rig.serial_write(encode_frame(identifier, data), self._board)
 
     def _frames(self):
         return [
-            Frame(self.rig.now_s, 0, frame.identifier, frame.data)
-            for frame in self._decoder.feed(self.rig.serial_read())
+            Frame(self.rig.now_s, self._board, frame.identifier, frame.data)
+            for frame in self._decoder.feed(self.rig.serial_read(self._board))
         ]
 
 

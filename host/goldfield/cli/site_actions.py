@@ -16,10 +16,13 @@ from goldfield_protocol.parameters import label_of
 
 
 def act(conversation: Conversation, arguments: argparse.Namespace, site: Site) -> None:
-    """Set the boards to a site, or compare them with it."""
+    """Set the boards to a site, or compare them with it; a serial port has one board, and the others have their own."""
     conversation.listen()
     boards = boards_of(conversation)
     wanted, missing = wanted_of(site, boards, _fitting(arguments, site, boards))
+    if link_options.chosen(arguments)[0] == "port" and wanted and missing:
+        tell(f"{counted(len(missing), 'beacons have')} no board on this port: go on with the ports of the others")
+        missing = []
     if arguments.action == "check":
         _check(conversation, arguments, wanted, missing)
         return
@@ -81,4 +84,4 @@ def _check(conversation: Conversation, arguments: argparse.Namespace, wanted: li
         what += [counted(len(missing), "beacons without a board")] * bool(missing)
         raise SystemFailure(f"the boards are not as the site says: {' and '.join(what)}; goldfield site push sets them")
     if not arguments.json:
-        print(f"{counted(len(wanted), 'boards')} are as the site says")
+        print(f"{counted(len(wanted), 'boards are')} as the site says")
