@@ -41,6 +41,7 @@ BUGS = [
         "RECORD_EXTRA <= store->flash.words - from + 1u",
     ),
     ("storage", "storage/store.c", "end <= count + 1u", "end <= count + 2u"),
+    ("storage", "storage/store.c", "while (found.behind > 0u && ", "while ("),
     ("boot loader", "boot/image.c", "bytes > (flash->words - IMAGE_CODE)", "bytes > (flash->words - IMAGE_CODE + 1u)"),
     ("boot loader", "boot/image.c", "HEADER_BYTES + bytes", "HEADER_BYTES + header->bytes"),
     ("boot loader", "boot/select.c", "select->place < IMAGE_SLOTS ?", "select->place <= IMAGE_SLOTS ?"),

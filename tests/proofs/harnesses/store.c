@@ -35,7 +35,7 @@ static uint32_t steps_of(const store_t *store) {
 
 /* The largest place at which a phase writes. */
 static uint32_t last_place(uint8_t phase) {
-    return phase >= PHASE_ERASE ? WORDS - COUNT - RECORD_EXTRA : WORDS - END_WORDS;
+    return phase >= PHASE_RETIRE ? WORDS - COUNT - RECORD_EXTRA : WORDS - END_WORDS;
 }
 
 /* Any state in which a phase can be. */
