@@ -3,11 +3,10 @@
 ``accuracy`` compares on five motions: the block filter at the end of each block, and 50 ms later at the middles of the
 cycles; one fix a cycle, held until the next; and the track of whole cycles, at their middles and foretold to the ends
 of the blocks. Its samples are streamed by emulated boards, by ``--boards host``, or are ``--simulated``, which costs
-least. ``bound`` holds the filter against the least possible error, ``rest`` tells that of a sensor at rest, ``starts``
-counts the starts from one block that fail, ``faults`` counts wrong poses that are told to be right, ``iron`` those
-while metal of many kinds passes, ``latency`` tells how old a pose is in the rig's time, ``host`` how late a line is on
-this machine, ``work`` what the filter takes of the processor for each block, and ``shared`` what comes of several
-sensors that send blocks on one CAN.
+least. ``bound`` holds the filter against the least possible error, ``starts`` counts the starts from one block that
+fail, ``faults`` counts wrong poses that are told to be right, ``iron`` those while metal of many kinds passes,
+``latency`` tells how old a pose is in the rig's time, ``host`` how late a line is on this machine, ``work`` what the
+filter takes of the processor for each block, and ``shared`` what comes of several sensors that send blocks on one CAN.
 """
 
 from __future__ import annotations
@@ -23,7 +22,6 @@ import numpy as np
 
 from goldfield.site import load
 from goldfield.track.blocks import BlockFilter
-from goldfield.track.blocks.bank import AGILITIES as BANK
 from goldfield.types import Status
 from tests.bench import rate_trials
 from tests.bench.locate_trials import prigge_cube
@@ -34,13 +32,11 @@ from tests.bench.rate_iron import ball, copper, passing, sheet
 from tests.bench.rate_latency import latency
 from tests.bench.rate_shared import shared, shared_scenario
 from tests.bench.rate_ways import Errors, cycles, follow, held_fixes, lagged
-from tests.bench.rate_world import BLOCK_CHIPS, MOTIONS, World, matched_walks, motion_of, resting_walks
+from tests.bench.rate_world import BLOCK_CHIPS, MOTIONS, World, matched_walks, motion_of
 
 NOISES_T = (2e-7, 2e-8)
 SETTLED_S = 0.5
 """Poses of this first time are left out: the filter has found the motion by then."""
-RESTING = (1e-4, 1e-4)
-"""The agility of a sensor of which it is known that it rests."""
 AGILITIES = ((0.05, 0.1), (0.5, 1.0), (2.0, 4.0), (8.0, 15.0))
 WALKED_CHIPS = {(0.05, 0.1): 10230, (0.5, 1.0): 7161, (2.0, 4.0): 5115, (8.0, 15.0): 3069}
 """How long random walks of an agility are, in chips: longer ones leave the room."""
@@ -124,30 +120,6 @@ def bound(options):
                 f"  {agility!s:12s} {noise_T * 1e7:4g} mG  least {1e3 * sums[0]:5.2f} mm {np.degrees(sums[1]):.3f} deg;"
                 f" position {over[0]:.3f} ({over_all[0]:.3f}) attitude {over[1]:.3f} ({over_all[1]:.3f})"
                 f"  nees {errors.nees:.2f}  wrong {errors.wrong} of {len(errors.status)}",
-                flush=True,
-            )
-
-
-def rest(options):
-    """Print the least error of a sensor at rest, by what it is taken for."""
-    print(
-        f"places of {options.seeds} runs at rest, after {options.seconds:g} s: least error of the pose at the end of a"
-    )
-    print("block, by the agility (m/s^2 and rad/s^2 per root hertz) that the sensor might have")
-    for noise_T in NOISES_T:
-        world, motions = (
-            World(prigge_cube(noise_T)),
-            [motion_of("still", options.first + k) for k in range(options.seeds)],
-        )
-        count = round(options.seconds / world.site.chip_period_s) // BLOCK_CHIPS * BLOCK_CHIPS
-        walks = resting_walks(motions, count)
-        for agility in (RESTING, *BANK[:2]):
-            least = LeastError(world, walks, noise_T, tuple(agility)).of_sums()[:, -1:]
-            each = " ".join(f"{1e3 * rms_of(one[None])[0]:.2f}" for one in least)
-            whole_m, whole_rad = rms_of(least)
-            print(
-                f"  {agility[0]:g}, {agility[1]:g} {noise_T * 1e7:4g} mG  {1e3 * whole_m:5.2f} mm"
-                f" {np.degrees(whole_rad):.3f} deg; each place {each} mm",
                 flush=True,
             )
 
@@ -340,7 +312,6 @@ def several(options):
 WHAT = {
     "accuracy": accuracy,
     "bound": bound,
-    "rest": rest,
     "starts": starts,
     "faults": faults,
     "iron": iron,

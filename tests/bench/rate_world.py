@@ -171,14 +171,6 @@ def matched_walks(rng, runs, count, period_s, agility):
     return Walks(np.array(found), rotation, EARTH_T + AMBIENT_WALK * walk[0], OFFSET_WALK * walk[1])
 
 
-def resting_walks(motions, count):
-    """Return the paths of some motions at rest, whose ambient field does not change: a run each, of so many samples."""
-    poses = [motion.poses(np.zeros(1)) for motion in motions]
-    position = np.stack([np.tile(place, (count, 1)) for place, _ in poses])
-    rotation = np.stack([np.tile(turn.as_matrix(), (count, 1, 1)) for _, turn in poses])
-    return Walks(position, rotation, np.tile(EARTH_T, (*position.shape[:2], 1)), np.zeros_like(position))
-
-
 def _twice_summed(rng, count, period_s, white, velocity):
     """Return twice integrated white noise with a first velocity, shape (n, 3): exact at the samples."""
     first, second = white * rng.normal(size=(2, count, 3))

@@ -23,7 +23,7 @@
                           * line through as many poses, the root of 12, over its time. */
 #define START_FIELD 5.0f /* Ambient field, and offset, uT. */
 
-static const float agilities[BLOCK_FILTERS][2] = {{0.03f, 0.06f}, {0.25f, 0.5f}, {2.0f, 2.0f}, {8.0f, 15.0f}};
+static const float agilities[BLOCK_FILTERS][2] = {{0.03f, 0.06f}, {0.5f, 1.0f}, {2.0f, 4.0f}, {8.0f, 15.0f}};
 
 void block_filter_init(block_filter_t *filter, const loop_t *coils, uint32_t count, float noise_uT) {
     memset(filter, 0, sizeof *filter);

@@ -31,10 +31,8 @@ from goldfield.track.blocks.state import AMBIENT, OFFSET, RATE, SIZE, VELOCITY, 
 from goldfield.track.blocks.update import Reference, observed, reference, taken_by
 from goldfield.types import FloatArray
 
-AGILITIES: FloatArray = np.array([[0.03, 0.06], [0.25, 0.5], [2.0, 2.0], [8.0, 15.0]])
-"""Agilities of acceleration and turn, m/s^2 and rad/s^2 per root hertz, one row a filter.
-
-Neighbours are about 8 to 1 at most: else the stiff one is believed of a smooth motion while it falls behind."""
+AGILITIES: FloatArray = np.array([[0.03, 0.06], [0.5, 1.0], [2.0, 4.0], [8.0, 15.0]])
+"""Agilities of acceleration and turn, m/s^2 and rad/s^2 per root hertz, one row a filter."""
 
 KEPT_S = 0.5
 """Mean time for which a sensor keeps its agility."""

@@ -211,7 +211,14 @@ def test_a_timer_that_stops(driving, timer, parts):
     assert_restart(driving(STOP_TIMER, timer), parts)
 
 
-@pytest.mark.parametrize("timer", [1, 3, 8])
+def test_the_timer_of_the_chips_that_stops(driving):
+    """No current can be told to belong to a chip: the coil is off as soon as with the others, and the board restarts."""
+    board = driving(STOP_TIMER, 1)
+    assert_restart(board, {"coil currents"})
+    assert off_after(board) <= (RUNNING + 1) * CHIP
+
+
+@pytest.mark.parametrize("timer", [3, 8])
 def test_a_timer_of_the_edges_that_stops_switches_the_coil_off_for_good(driving, timer):
     """The other timers go on, so everything moves, if slowly: the board stays up and tells why its coil is off."""
     board = driving(STOP_TIMER, timer)
