@@ -309,8 +309,10 @@ def saving(request: pytest.FixtureRequest) -> Saving:
 
 
 def test_the_ways_to_save_differ_as_they_should(saving: Saving) -> None:
-    """An erasure comes first or not at all, behind the four words of a head that counted until then; the steps are those
-    of one set."""
+    """An erasure comes first, behind the four words of a head that counted until then, or not at all.
+
+    The steps are those of one set.
+    """
     erasures = [place for place, (_, index, _) in enumerate(saving.steps) if index is None]
     assert erasures == {"appended": [], "again": [4]}.get(saving.kind, [0])
     assert 1014 <= len(saving.steps) <= 1028

@@ -212,7 +212,7 @@ def test_a_timer_that_stops(driving, timer, parts):
 
 
 def test_the_timer_of_the_chips_that_stops(driving):
-    """No current can be told to belong to a chip: the coil is off as soon as with the others, and the board restarts."""
+    """No current can be told to belong to a chip: the coil goes off as with the others, and the board restarts."""
     board = driving(STOP_TIMER, 1)
     assert_restart(board, {"coil currents"})
     assert off_after(board) <= (RUNNING + 1) * CHIP
