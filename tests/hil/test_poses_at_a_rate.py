@@ -219,6 +219,10 @@ class Wall:
         waited_s = np.interp(self._rig.now_s - self._begin_s, [-0.3, -0.2, 0.0, 0.01, 0.49, 0.5], self.WAITED_S)
         return self._rig.now_s + waited_s
 
+    @staticmethod
+    def process_time():
+        return 0.0
+
 
 def test_a_run_that_falls_behind_leaves_poses_out_and_says_so_once(bench, monkeypatch, capsys):
     one = bench(RigLink)
