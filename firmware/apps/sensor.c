@@ -63,12 +63,10 @@ static void tell_codes(acquire_t *acquire, const sense_t *sense) {
 
 static void follow(sensor_t *sensor, uint32_t parameter) {
     timing_t *const timing = &sensor->timing;
-    const bool degree_10 = timing->format.degree == 10u;
-    timing->source.field_usable = parameter == SYNC_AUTOMATIC && degree_10 && sense_has_codes(&sensor->sense);
     if (parameter == SYNC_AUTOMATIC && timing->source.automatic) {
         return; /* The clock has chosen. */
     }
-    const bool by_field = parameter == SYNC_BY_FIELD && degree_10;
+    const bool by_field = parameter == SYNC_BY_FIELD && timing->format.degree == 10u;
     source_automatic(&timing->source, &timing->link, parameter == SYNC_AUTOMATIC);
     const bool by_can = timing->source.automatic ? timing->link.follows : parameter == SYNC_BY_CAN;
     if (by_field != timing->source.by_field || by_can != timing->link.follows) {
@@ -104,9 +102,7 @@ static void prepare_field(sensor_t *sensor) {
 /* Does what the field needs of main while the clock follows it, or would. */
 static void serve_field(sensor_t *sensor) {
     source_t *const source = &sensor->timing.source;
-    if (source->automatic) {
-        source->field_usable = sensor->timing.format.degree == 10u && sense_has_codes(&sensor->sense);
-    }
+    source->field_usable = source->automatic && sensor->timing.format.degree == 10u && sense_has_codes(&sensor->sense);
     if (source_asks(source)) {
         prepare_field(sensor);
     }

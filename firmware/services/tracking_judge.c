@@ -6,12 +6,12 @@
 #define MICROTESLA    1e6f  /* Microtesla in a tesla. */
 #define WEAK_ATTITUDE 0.5f  /* Standard deviation of the attitude beyond which nothing linear holds, rad. */
 #define PROTECTION_SD 3.29f /* Deviate of what noise alone exceeds in one of a thousand cases. */
-#define CURVATURE                                                                                                      \
-    6.0f /* What errors of second order add to the field of a dipole, over the field and the square of                 \
-          * their part of the distance: half of 3 times 4. */
-#define VAGUE                                                                                                          \
-    3.0f /* Largest such part of a field over its noise: tracks from more of it drift, and poses of                    \
-          * cycles farther from all coils, where the track itself knows better, have less. */
+/* What errors of second order add to the field of a dipole, over the field and the square of their part of the
+ * distance: half of 3 times 4. */
+#define CURVATURE 6.0f
+/* Largest such part of a field over its noise: tracks from more of it drift, and poses of cycles farther from all
+ * coils, where the track itself knows better, have less. */
+#define VAGUE 3.0f
 
 bool tracking_is_out(const tracking_t *tracking, uint32_t row) {
     return row == tracking->verdict.left_out || row == tracking->suspect || tracking->coils[row].k_uT_m3 == 0.0f;

@@ -8,9 +8,8 @@
 
 #include "services/tracking_state.h"
 
-#define TRACKING_WEAK_DISTANCE                                                                                         \
-    0.25f /* Deviation of the position, over the distance to the nearest beacon, beyond which                          \
-           * nothing linear holds. */
+/* Deviation of the position, over the distance to the nearest beacon, beyond which nothing linear holds. */
+#define TRACKING_WEAK_DISTANCE 0.25f
 
 /* Returns whether the beacon of a row is not to be believed, or its coil is not known. */
 bool tracking_is_out(const tracking_t *tracking, uint32_t row);

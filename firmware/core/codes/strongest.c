@@ -12,8 +12,8 @@
 #define EXCEED       2u   /* Times the sum of the weakest and what enters, above which it is replaced. */
 #define MISSING_PART 4u   /* A cycle of which more than this part was not sampled tells nothing. */
 #define CHOSEN_PART  8u   /* At most this part of the codes is chosen. */
-#define LEAK_EXPONENT                                                                                                  \
-    11u /* A newcomer leaks 5 (N + 1)^-2 of its strength, at most; eight alike ones 2^11 (N + 1)^-2. */
+/* A newcomer leaks 5 (N + 1)^-2 of its strength, at most; eight alike ones 2^11 (N + 1)^-2. */
+#define LEAK_EXPONENT 11u
 
 /* What a round has found that is not in the selection, strongest first. */
 typedef struct {

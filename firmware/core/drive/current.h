@@ -38,13 +38,14 @@
  * (and 6 counts), a set-point at the end of its range, or an estimated amplitude more than 0.5 % short raises
  * headroom_lost for 33 blocks.
  *
- * Protections: those of guard.h on every measurement, and, by current_sample and current_middle, in a chip that asks
- * for more than a quarter of the amplitude and than CURRENT_OPEN_MINIMUM_A (so in neither the first quarter of the
- * ramp, nor zeros of a sinusoid, nor cancelling codes), open coil     The current in the asked direction is below
- * open_fraction of what was asked (by the estimated line); a sense of the wrong sign is one. Amid the chip the current
- * may still be on its way there. A coil's changes ever slower under a constant supply: one that is there when the chip
- * ends has done more than 2/5 of the way amid the chip, as hal.h has the moments. It counts as open with less than 3/8.
- * A fault is returned within that chip. The state is then CURRENT_FAULT until current_configure.
+ * Protections: those of guard.h on every measurement, and, by current_sample and current_middle, an open coil. That is
+ * looked for in a chip that asks for more than a quarter of the amplitude and than CURRENT_OPEN_MINIMUM_A (so in
+ * neither the first quarter of the ramp, nor zeros of a sinusoid, nor cancelling codes): the current in the asked
+ * direction is below open_fraction of what was asked (by the estimated line); a sense of the wrong sign is one, too.
+ * Amid the chip the current may still be on its way there. A coil's changes ever slower under a constant supply: one
+ * that is there when the chip ends has done more than 2/5 of the way amid the chip, as hal.h has the moments. It counts
+ * as open with less than 3/8. A fault is returned within that chip. The state is then CURRENT_FAULT until
+ * current_configure.
  *
  * Units. The sense counts 0..4095, 2048 is about 0 A; sense_A is A per count. The reference counts 0..4095 of
  * reference_A each.

@@ -3,11 +3,11 @@
  *
  * Calls, in the order they are made
  *   1. acquire_init   main, once, and again when the source of time changes.
- *   2. acquire_codes  main, with the codes that may be on the air. A clock that is in step by something else begins
- * with acquire_known instead, and goes on with acquire_replace when other codes are nearer.
+ *   2. acquire_codes  main, with the codes that may be on the air.
+ *      acquire_known  instead of it, main, with a clock that is in step by something else.
  *   3. acquire_plan   interrupt, before the chips of a block are planned.
  *   4. acquire_feed   interrupt, with the burst of each chip; acquire_sample (acquire_record.h) makes its sample.
- *   5. acquire_step   main, once a turn.
+ *   5. acquire_step   main, once a turn; acquire_replace behind acquire_known, when other codes are nearer.
  * Main reads tracking, silent and the other results; the chip clock's `locked` tells whether the chips are in step.
  *
  * Which samples. The paper samples one axis at 1 MHz. The converters here could be run through without pause (three

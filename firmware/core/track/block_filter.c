@@ -18,9 +18,9 @@
 #define START_DEVIATION 2.0f /* Factor on those that the pose was located with. */
 #define START_VELOCITY  3.0f /* m/s. */
 #define START_RATE      4.0f /* rad/s. */
-#define MOVED                                                                                                          \
-    3.5f                 /* Deviations of a pose by which the motion in its time is uncertain: its sums have that of a \
-                          * line through as many poses, the root of 12, over its time. */
+/* Deviations of a pose by which the motion in its time is uncertain: its sums have that of a line through as many
+ * poses, the root of 12, over its time. */
+#define MOVED       3.5f
 #define START_FIELD 5.0f /* Ambient field, and offset, uT. */
 
 static const float agilities[BLOCK_FILTERS][2] = {{0.03f, 0.06f}, {0.5f, 1.0f}, {2.0f, 4.0f}, {8.0f, 15.0f}};
