@@ -68,6 +68,25 @@ def documented_commands():
     return [shlex.split(line.replace("--can socketcan:can0", "")) for line in COMMAND.findall(section)]
 
 
+@contextlib.contextmanager
+def benches(monkeypatch, folder):
+    """Yield what makes a `Bench` from the text of a scenario; they, and what they replace in the host, end with it."""
+    for module, name in ((opening, "open_link"), (conversations, "time")):
+        monkeypatch.setattr(module, name, getattr(module, name))  # the bench puts its own there
+    path, made = folder / "scenario.toml", []
+
+    def make(text, sited=None):
+        path.write_text(text)
+        made.append(Bench(path, sited))
+        return made[-1]
+
+    try:
+        yield make
+    finally:
+        for one in made:
+            one.rig.close()
+
+
 class Bench:
     """A rig of boards from the box; ``sited`` of its beacons are in its site, the others are spare."""
 

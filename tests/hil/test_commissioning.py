@@ -8,14 +8,13 @@ import pytest
 
 from goldfield import site as sites
 from goldfield.cli import main
-from goldfield.nodes import conversation as conversations
 from goldfield.nodes import opening
 from goldfield.sensor import dialogue as dialogues
 from goldfield.sensor import session as sessions
 from goldfield.sensor.pipeline import Sensor
 from goldfield.types import Status
 from hil_sim.clib import ROOT
-from tests.hil.from_the_box import SHARED, Bench, documented_commands, hall
+from tests.hil.from_the_box import SHARED, benches, documented_commands, hall
 from tests.hil.rig_link import RigLink
 
 SENSOR_M = [0.9, 1.2, 0.8]
@@ -23,19 +22,8 @@ SENSOR_M = [0.9, 1.2, 0.8]
 
 @pytest.fixture
 def bench(monkeypatch, tmp_path):
-    for module, name in ((opening, "open_link"), (conversations, "time")):
-        monkeypatch.setattr(module, name, getattr(module, name))  # the bench puts its own there
-    made = []
-
-    def make(beacons, sited=None):
-        path = tmp_path / "scenario.toml"
-        path.write_text(hall(beacons))
-        made.append(Bench(path, sited))
-        return made[-1]
-
-    yield make
-    for one in made:
-        one.rig.close()
+    with benches(monkeypatch, tmp_path) as make:
+        yield lambda beacons, sited=None: make(hall(beacons), sited)
 
 
 def valid(lines, name):

@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 
 from goldfield import site as sites
-from goldfield.nodes import conversation as conversations
-from goldfield.nodes import opening
 from goldfield.sensor import dialogue as dialogues
 from goldfield.sensor import session as sessions
 from goldfield.sensor.pipeline import Sensor
 from goldfield.types import Status
-from tests.hil.from_the_box import SHARED, Bench, hall, place_of
+from tests.hil.from_the_box import SHARED, benches, hall, place_of
 from tests.hil.rig_link import RigSerialLink
 
 SENSOR_M = [0.9, 1.2, 0.8]
@@ -21,20 +19,14 @@ SENSOR = 0
 
 @pytest.fixture
 def bench(monkeypatch, tmp_path):
-    for module, name in ((opening, "open_link"), (conversations, "time")):
-        monkeypatch.setattr(module, name, getattr(module, name))  # the bench puts its own there
-    made = []
+    with benches(monkeypatch, tmp_path) as make:
 
-    def make(beacons, sited=None):
-        path = tmp_path / "scenario.toml"
-        path.write_text(hall(beacons))
-        made.append(Bench(path, sited))
-        made[-1].rig.can_errors(0.5)  # There is no bus.
-        return made[-1]
+        def without_a_bus(beacons, sited=None):
+            made = make(hall(beacons), sited)
+            made.rig.can_errors(0.5)
+            return made
 
-    yield make
-    for one in made:
-        one.rig.close()
+        yield without_a_bus
 
 
 @pytest.mark.long

@@ -7,14 +7,12 @@ import pytest
 
 from goldfield import site as sites
 from goldfield.cli import main
-from goldfield.nodes import conversation as conversations
-from goldfield.nodes import opening
 from goldfield.sensor import dialogue as dialogues
 from goldfield.sensor import session as sessions
 from goldfield.sensor.options import Options
 from goldfield.sensor.pipeline import Sensor
 from goldfield.types import Status
-from tests.hil.from_the_box import Bench, hall
+from tests.hil.from_the_box import benches, hall
 from tests.hil.rig_link import RigLink
 
 SENSOR_M = [0.9, 1.2, 0.8]
@@ -22,19 +20,8 @@ SENSOR_M = [0.9, 1.2, 0.8]
 
 @pytest.fixture
 def bench(monkeypatch, tmp_path):
-    for module, name in ((opening, "open_link"), (conversations, "time")):
-        monkeypatch.setattr(module, name, getattr(module, name))  # the bench puts its own there
-    made = []
-
-    def make(beacons):
-        path = tmp_path / "scenario.toml"
-        path.write_text(hall(beacons, sited=beacons))
-        made.append(Bench(path))
-        return made[-1]
-
-    yield make
-    for one in made:
-        one.rig.close()
+    with benches(monkeypatch, tmp_path) as make:
+        yield lambda beacons: make(hall(beacons, sited=beacons))
 
 
 def commissioned(made, site):

@@ -80,8 +80,40 @@ class Seat:
         self.life.close()
 
 
-class BoardsLink(BusSource):
-    """Takes the place of a `BusSource` and, by its `monotonic`, of the module `time`.
+class VirtualLink(BusSource):
+    """A link in virtual time, which takes the place of a `BusSource` and, by its `monotonic`, of the module `time`.
+
+    A subclass runs its boards in `_advance`, and puts what they send into ``_received``.
+    """
+
+    traffic = {}  # noqa: RUF012 - nothing is counted
+    step = STEP
+
+    def __init__(self) -> None:
+        self.now = 0
+        self._received: deque[can.Message] = deque()
+
+    def monotonic(self) -> float:
+        return self.now / SECOND
+
+    def receive(self, timeout_s: float) -> can.Message | None:
+        until = self.now + max(1, round(timeout_s * SECOND))
+        while not self._received and self.now < until:
+            self._advance(min(self.now + self.step, until))
+        return self._received.popleft() if self._received else None
+
+    def close(self) -> None:
+        """Let go of nothing."""
+
+    def _advance(self, until: int) -> None:
+        raise NotImplementedError
+
+    def _hear(self, identifier: int, data: bytes, time: int) -> None:
+        self._received.append(can.Message(timestamp=time / SECOND, arbitration_id=identifier, data=data))
+
+
+class BoardsLink(VirtualLink):
+    """Host boards through their restarts.
 
     Parameters
     ----------
@@ -99,27 +131,16 @@ class BoardsLink(BusSource):
         The block with which the user ends the command.
     """
 
-    traffic = {}  # noqa: RUF012 - nothing is counted
-
     def __init__(self, seats: Sequence[Seat], *, serial: bool = False, hears: Filter = lambda *_: True) -> None:
+        super().__init__()
         self.name, self.shared, self.link_bit = "bench", not serial, 1 if serial else 2
         self.seats, self.serial, self.hears = list(seats), serial, hears
-        self.now = self.bus = 0
+        self.bus = 0
         self.sent: list[str] = []
         self.interrupt_at: int | None = None
         self.foreign = False
-        self._received: deque[can.Message] = deque()
         self._advance(50 * MS)
         self._received.clear()
-
-    def monotonic(self) -> float:
-        return self.now / SECOND
-
-    def receive(self, timeout_s: float) -> can.Message | None:
-        until = self.now + max(1, round(timeout_s * SECOND))
-        while not self._received and self.now < until:
-            self._advance(min(self.now + STEP, until))
-        return self._received.popleft() if self._received else None
 
     def send(self, identifier: int, data: bytes) -> None:
         message = decode(identifier, data)
@@ -136,9 +157,6 @@ class BoardsLink(BusSource):
                     seat.life.board.receive(encode_frame(identifier, data), time)
                 else:
                     seat.life.board.can_in(identifier, data, time)
-
-    def close(self) -> None:
-        """Let go of nothing."""
 
     def advance(self, seconds: float) -> None:
         """Let time pass in which nobody listens."""
@@ -157,8 +175,7 @@ class BoardsLink(BusSource):
                     break
                 if self.foreign and message is not None and message.name == "HEARTBEAT":
                     data = bytes([data[0] ^ 1, *data[1:]])
-                raw = can.Message(timestamp=until / SECOND, arbitration_id=identifier, data=data)
-                self._received.append(raw)
+                self._hear(identifier, data, until)
             hangs = seat.choices[-1].slot == seat.hangs_in and until - seat.began > SECOND // 2
             if seat.starts > 1 or seat.life.lost or hangs:
                 seat.close()

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from collections import deque
-
-import can
 import pytest
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 
 from goldfield.cli import main
-from goldfield.link.buses import BusSource
 from goldfield_protocol import FrameDecoder, encode_frame
 from goldfield_protocol.image import MARK
 from goldfield_protocol.parameters import build_page
@@ -17,51 +13,37 @@ from hil_sim.clib import ROOT
 from hil_sim.emulator.emulator import PARAMETER_PAGE
 from tests.firmware.boards.stm32f405.boot_flash import boot_loader, flash, probed, state_of
 from tests.firmware.core.boot.slots import KEY, OTHER_KEY
-from tests.firmware.host_rig import MS, SECOND, SENSOR, US, Board
-from tests.host.update.boards_on_a_link import run
+from tests.firmware.host_rig import MS, SENSOR, US, Board
+from tests.host.update.boards_on_a_link import VirtualLink, run
 
 A, B = 0, 1
-STEP = 5 * MS
 FRAME = 100 * US
 
 
-class ChipLink(BusSource):
-    """The serial line of an emulated board in virtual time; it takes the place of the module `time`, too."""
+class ChipLink(VirtualLink):
+    """The serial line of an emulated board."""
 
-    traffic = {}  # noqa: RUF012 - nothing is counted
     shared, link_bit, name = False, 1, "chip"
 
     def __init__(self, cells: bytes) -> None:
+        super().__init__()
         self.board = Board(SENSOR, {"node": 9}, emulated=True, cells=cells)
-        self.now = self.line = self.blocks = 0
-        self._decoder, self._taken, self._received = FrameDecoder(), 0, deque[can.Message]()
-        self._run(300 * MS)
-
-    def monotonic(self) -> float:
-        return self.now / SECOND
-
-    def receive(self, timeout_s: float) -> can.Message | None:
-        until = self.now + max(1, round(timeout_s * SECOND))
-        while not self._received and self.now < until:
-            self._run(min(self.now + STEP, until))
-        return self._received.popleft() if self._received else None
+        self.line = self.blocks = 0
+        self._decoder, self._taken = FrameDecoder(), 0
+        self._advance(300 * MS)
 
     def send(self, identifier: int, data: bytes) -> None:
         self.line = max(self.line, self.now)
         self.board.receive(encode_frame(identifier, data), self.line)
         self.line += FRAME
 
-    def close(self) -> None:
-        """Let go of nothing."""
-
-    def _run(self, until: int) -> None:
+    def _advance(self, until: int) -> None:
         self.board.run(until)
         self.now = until
         new = self.board.serial[self._taken :]
         self._taken += len(new)
         for frame in self._decoder.feed(bytes(byte for _, byte in new)):
-            raw = can.Message(timestamp=until / SECOND, arbitration_id=frame.identifier, data=frame.data)
-            self._received.append(raw)
+            self._hear(frame.identifier, frame.data, until)
 
 
 def signed(tmp_path, capsys, key):
