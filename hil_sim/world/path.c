@@ -18,9 +18,3 @@ void path_columns(const double *coefficients, size_t columns, double x, double *
         values[column] = ((c[3] * x + c[2]) * x + c[1]) * x + c[0];
     }
 }
-
-void path_evaluate(const path_t *path, int64_t time_ps, double *values) {
-    double x;
-    const size_t interval = path_interval(path, time_ps, &x);
-    path_columns(path->coefficients + interval * path->columns * 4u, path->columns, x, values);
-}

@@ -24,10 +24,7 @@ typedef struct {
 /* Returns the interval that a time is in, or the one that goes on there; *x is where in it. */
 size_t path_interval(const path_t *path, int64_t time_ps, double *x);
 
-/* The values of some columns of one interval. */
+/* Compute the values of some columns of one interval: 3 multiplications a column. */
 void path_columns(const double *coefficients, size_t columns, double x, double *values);
-
-/* The values of every column at a time. Time of a call: 3 multiplications a column. */
-void path_evaluate(const path_t *path, int64_t time_ps, double *values);
 
 #endif

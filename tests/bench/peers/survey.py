@@ -34,7 +34,7 @@ class Bundle:
     """The whole survey as one problem of least squares: what SciPy is given."""
 
     def __init__(self, work: Trial) -> None:
-        self._work, site = work, work.site
+        site = work.site
         self._count = len(site.beacons)
         located = Locator(site).locate_many(list(work.data.epochs))
         self._at = np.array([pose.position_m for pose in located])
