@@ -5,7 +5,6 @@ A plan tells more of each point: the protection level, a second pose that fits, 
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -29,7 +28,7 @@ def rows(bench: Bench) -> list[Row]:
     """Return the rows of the subject; both must find the same errors."""
     site = told(trials.prigge_cube(), EXACT)
     grid = Grid.of_box(LOW_M, HIGH_M, STEP_M)
-    request = Request(replace(site), grid, Settings(truncation=0.0))
+    request = Request(site, grid, Settings(truncation=0.0))
     model, sigma = FieldModel(site.beacons), site.sensor.noise_T / np.sqrt(site.chips)
     points = np.stack(np.meshgrid(grid.x_m, grid.y_m, grid.z_m, indexing="ij"), axis=-1).reshape(-1, 3)[::EVERY]
 

@@ -1,4 +1,4 @@
-"""Poses of a sensor that walks: the tracker of whole cycles, and the filter of blocks, beside SciPy's optimiser.
+"""Poses of a sensor that walks: the tracker of whole cycles beside SciPy's optimiser.
 
 SciPy fits each epoch by itself, from the pose before: the same fields, but nothing of the motion.
 """
