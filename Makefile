@@ -36,10 +36,10 @@ include tests/checks.mk
 include docs/docs.mk
 
 # ---- set-up ----
-# $(call install,PACKAGES): Debian packages, through apt.
+# $(call install,PACKAGES): Debian packages, through apt. Who else holds its lock, as a new machine's own updates do, is waited for.
+APT := $(SUDO) DEBIAN_FRONTEND=noninteractive apt-get -qq -o DPkg::Lock::Timeout=600
 define install
-{ echo "installing $(1) with apt"; $(SUDO) apt-get update -qq >$(BUILD)/apt.log 2>&1 && \
-  DEBIAN_FRONTEND=noninteractive $(SUDO) apt-get install -y -qq $(1) >>$(BUILD)/apt.log 2>&1 || \
+{ echo "installing $(1) with apt"; $(APT) update >$(BUILD)/apt.log 2>&1 && $(APT) install -y $(1) >>$(BUILD)/apt.log 2>&1 || \
   { tail -5 $(BUILD)/apt.log; echo "could not install $(1): see $(BUILD)/apt.log, or install it by hand"; exit 1; }; }
 endef
 # $(call need,COMMAND,PACKAGES): install packages if a command is missing.
