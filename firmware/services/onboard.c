@@ -2,11 +2,10 @@
 
 #include <string.h>
 
+#include "core/math/microtesla.h"
 #include "core/math/roots.h"
 #include "core/math/vector3.h"
 #include "services/pose_report.h"
-
-#define MICROTESLA 1e6f /* Microtesla in a tesla. */
 
 /* Prepares the separation of a selection. Returns whether there is one. */
 static bool prepare(onboard_t *onboard, const epoch_selection_t *selection) {

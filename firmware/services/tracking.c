@@ -2,6 +2,7 @@
 
 #include <string.h>
 
+#include "core/math/microtesla.h"
 #include "core/math/quaternion.h"
 #include "core/math/roots.h"
 #include "core/math/vector3.h"
@@ -9,16 +10,12 @@
 #include "services/pose_report.h"
 #include "services/tracking_cycles.h"
 #include "services/tracking_judge.h"
+#include "services/tracking_start.h"
 
-#define MICROTESLA     1e6f /* Microtesla in a tesla. */
-#define UT_M3_PER_A_M2 0.1f /* mu0 / (4 pi) in uT m^3 for each A m^2. */
-#define START_VELOCITY 3.0f /* Standard deviations with which the filter begins: m/s ... */
-#define START_RATE     4.0f /* ... and rad/s. */
-
-#define CHIP_S  ((float)HAL_CHIP_TICKS / (float)HAL_TICKS_PER_SECOND) /* Length of a chip, s. */
-#define BLOCK_S ((float)BLOCK_CHIPS * CHIP_S)
-#define HALF_S  (0.5f * (float)(BLOCK_CHIPS - 1u) * CHIP_S) /* From the middle of a block to its last sample, s. */
-#define GAP_S   (((float)BLOCK_FILTER_REFUSALS + 0.5f) * BLOCK_S) /* Longest time without a block that is bridged, s. */
+#define BLOCK_S ((float)BLOCK_CHIPS * TRACKING_CHIP_S)
+#define HALF_S                                                                                                         \
+    (0.5f * (float)(BLOCK_CHIPS - 1u) * TRACKING_CHIP_S)        /* From the middle of a block to its last sample, s. */
+#define GAP_S (((float)BLOCK_FILTER_REFUSALS + 0.5f) * BLOCK_S) /* Longest time without a block that is bridged, s. */
 
 /* ---- Configuration ---- */
 
@@ -141,7 +138,7 @@ static void make_block(tracking_t *tracking, const block_sums_t *sums, const blo
     for (uint32_t i = 0; i < select->count; i++) {
         bits[i] = sums->bits[select->rows[i]];
     }
-    block_gram(bits, select->count, BLOCK_CHIPS, CHIP_S, tracking->block);
+    block_gram(bits, select->count, BLOCK_CHIPS, TRACKING_CHIP_S, tracking->block);
     for (uint32_t i = 0; i <= select->count; i++) {
         const uint32_t row = i < select->count ? select->rows[i] : tracking->count;
         for (uint32_t axis = 0; axis < 3u; axis++) {
@@ -202,7 +199,7 @@ static void compare(tracking_t *tracking, const block_state_t *predicted, const 
                                                 &tracking->errors, MICROTESLA * tracking->onboard->noise_T, out);
     suspect(tracking, worst < count ? tracking->select.rows[worst] : tracking->count);
     if (tracking->onboard->chips == BLOCK_CYCLE_CHIPS &&
-        block_cycle_add(&tracking->moving, tracking->number, tracking->chip, CHIP_S, &residual, predicted)) {
+        block_cycle_add(&tracking->moving, tracking->number, tracking->chip, TRACKING_CHIP_S, &residual, predicted)) {
         onboard_take_track(tracking->onboard, &tracking->moving, tracking->cycle, tracking->rests,
                            tracking->ambiguous || tracking->vague > 0u);
     }
@@ -261,85 +258,6 @@ static bool follow(tracking_t *tracking, const block_sums_t *sums) {
 
 /* ---- Start ---- */
 
-/* Makes a block with columns for all beacons. */
-static void make_whole_block(tracking_t *tracking, const block_sums_t *sums) {
-    block_gram(sums->bits, tracking->count, BLOCK_CHIPS, CHIP_S, tracking->block);
-    for (uint32_t i = 0; i <= tracking->count; i++) {
-        for (uint32_t axis = 0; axis < 3u; axis++) {
-            tracking->block->sums_uT[i][axis] = MICROTESLA * sums->sums_T[i][axis];
-        }
-    }
-}
-
-/* Adds a block to those that have been gathered: its moments are not needed. */
-static void add_block(tracking_t *tracking, const block_sums_t *sums) {
-    for (uint32_t i = 0; i <= tracking->count; i++) {
-        const uint32_t bits = i < tracking->count ? sums->bits[i] : 0u;
-        for (uint32_t j = 0; j <= tracking->count; j++) {
-            const uint32_t other = j < tracking->count ? sums->bits[j] : 0u;
-            const int32_t product = (int32_t)BLOCK_CHIPS - 2 * __builtin_popcount(bits ^ other);
-            tracking->block->gram[i][j] += (float)product;
-        }
-        for (uint32_t axis = 0; axis < 3u; axis++) {
-            tracking->block->sums_uT[i][axis] += MICROTESLA * sums->sums_T[i][axis];
-        }
-    }
-}
-
-/* Returns the sum of the squares of how fast the separated fields may change by motion, uT^2/s^2: those of dipoles by
- * 3 B / r. */
-static float slopes2(const tracking_t *tracking) {
-    const float *const ambient = tracking->block->sums_uT[tracking->count];
-    float sum = START_RATE * START_RATE * vector3_dot(ambient, ambient);
-    for (uint32_t i = 0; i < tracking->count; i++) {
-        const float field2 = vector3_dot(tracking->block->sums_uT[i], tracking->block->sums_uT[i]);
-        const float k = tracking->coils[i].k_uT_m3, radius = tracking->coils[i].radius_m;
-        if (tracking_is_out(tracking, i) || !(field2 > 0.0f)) {
-            continue;
-        }
-        const float away = 1.0f / inverse_cube_root(1.5f * (k < 0.0f ? -k : k) * inverse_square_root(field2));
-        const float rate = START_RATE + 3.0f * START_VELOCITY / (away > radius ? away : radius);
-        sum += rate * rate * field2;
-    }
-    return sum;
-}
-
-/* Returns the variance, uT^2, of a component of a separated field: noise, and what the others, which change during the
- * blocks, leave in it. Their products with time have a variance of m (m^2 - 1) / 12 chips^2 in m chips. */
-static float variance(const tracking_t *tracking, uint32_t row, float sum2) {
-    const float noise_uT = MICROTESLA * tracking->onboard->noise_T;
-    const float chips = (float)(tracking->gathered * BLOCK_CHIPS);
-    float row2 = 0.0f;
-    for (uint32_t j = 0; j <= tracking->count; j++) {
-        row2 += tracking->block->gram[row][j] * tracking->block->gram[row][j];
-    }
-    const float times2 = chips * (chips * chips - 1.0f) / 12.0f * CHIP_S * CHIP_S;
-    return noise_uT * noise_uT * tracking->block->gram[row][row] + times2 * row2 * sum2;
-}
-
-/* Begins to locate the fields of the blocks gathered. Returns false if they cannot be separated. */
-static bool locate(tracking_t *tracking) {
-    for (uint32_t i = 0; i < tracking->count; i++) {
-        if (tracking_is_out(tracking, i)) {
-            block_leave_out(tracking->block, i);
-        }
-    }
-    if (!block_separate(tracking->block)) {
-        return false;
-    }
-    const float sum2 = slopes2(tracking);
-    pose_field_t fields[BLOCK_BEACONS];
-    for (uint32_t i = 0; i < tracking->count; i++) {
-        for (uint32_t axis = 0; axis < 3u; axis++) {
-            fields[i].field_T[axis] = tracking->block->sums_uT[i][axis] / MICROTESLA;
-        }
-        fields[i].sigma_T = tracking_is_out(tracking, i) ? 0.0f : square_root(variance(tracking, i, sum2)) / MICROTESLA;
-    }
-    const pose_verdict_t unknown = {.row = POSE_NOBODY, .reason = POSE_REASON_PENDING};
-    pose_begin(&tracking->onboard->site, fields, false, &unknown, tracking->work, &tracking->start);
-    return true;
-}
-
 /* Gathers a block for a start, and begins to search when there are enough. */
 static void gather(tracking_t *tracking, node_t *node, const block_sums_t *sums, bool more) {
     const uint32_t needed = 1u + tracking->count / TRACKING_COLUMNS_A_BLOCK;
@@ -348,12 +266,7 @@ static void gather(tracking_t *tracking, node_t *node, const block_sums_t *sums,
     } else if (sums->unmeasured != 0u || (more && tracking->gathered == 0u) || !onboard_lends(tracking->onboard)) {
         tracking->gathered = 0;
     } else {
-        if (tracking->gathered == 0u) {
-            make_whole_block(tracking, sums);
-        } else {
-            add_block(tracking, sums);
-        }
-        tracking->gathered++;
+        tracking_start_add(tracking, sums);
     }
     if (!tracking->able || tracking->gathered < needed) {
         send(tracking, node, &tracking->start);
@@ -361,7 +274,7 @@ static void gather(tracking_t *tracking, node_t *node, const block_sums_t *sums,
     }
     tracking->behind_s = 0.5f * (float)(needed - 1u) * BLOCK_S;
     tracking->work = onboard_lend(tracking->onboard);
-    if (locate(tracking)) {
+    if (tracking_start_search(tracking)) {
         tracking->state = TRACKING_SEARCHES;
         return;
     }

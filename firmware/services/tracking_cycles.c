@@ -2,10 +2,10 @@
 
 #include <string.h>
 
+#include "core/math/microtesla.h"
 #include "services/tracking_judge.h"
 
-#define MICROTESLA 1e6f /* Microtesla in a tesla. */
-#define CYCLE_S    ((float)BLOCK_CYCLE_CHIPS * (float)HAL_CHIP_TICKS / (float)HAL_TICKS_PER_SECOND)
+#define CYCLE_S ((float)BLOCK_CYCLE_CHIPS * (float)HAL_CHIP_TICKS / (float)HAL_TICKS_PER_SECOND)
 
 /* Returns whether a verdict tells where the sensor was. */
 static bool tells(const onboard_verdict_t *verdict) {

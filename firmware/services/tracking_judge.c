@@ -1,9 +1,9 @@
 #include "services/tracking_judge.h"
 
+#include "core/math/microtesla.h"
 #include "core/math/roots.h"
 #include "core/math/vector3.h"
 
-#define MICROTESLA    1e6f  /* Microtesla in a tesla. */
 #define WEAK_ATTITUDE 0.5f  /* Standard deviation of the attitude beyond which nothing linear holds, rad. */
 #define PROTECTION_SD 3.29f /* Deviate of what noise alone exceeds in one of a thousand cases. */
 /* What errors of second order add to the field of a dipole, over the field and the square of their part of the

@@ -9,6 +9,8 @@
 #include "services/blocks.h"
 #include "services/onboard.h"
 
+#define TRACKING_CHIP_S ((float)HAL_CHIP_TICKS / (float)HAL_TICKS_PER_SECOND) /* Length of a chip, s. */
+
 #define TRACKING_COLUMNS_A_BLOCK 21u  /* Most columns that the fields of one block are separated for. */
 #define TRACKING_DOUBTS          3u   /* Blocks in a row that do not fit, from which on poses are inconsistent. */
 #define TRACKING_PATIENCE        5u   /* Starts that do not agree with the site, after which one is taken as it is. */

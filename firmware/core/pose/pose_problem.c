@@ -3,13 +3,12 @@
 #include <string.h>
 
 #include "core/math/chi_square.h"
+#include "core/math/microtesla.h"
 #include "core/math/roots.h"
 #include "core/math/vector3.h"
 
-#define MICROTESLA     1e6f   /* Microtesla in a tesla. */
-#define UT_M3_PER_A_M2 0.1f   /* mu0 / (4 pi) in uT m^3 for each A m^2. */
-#define ANY_NOISE      4.753f /* Normal deviate of the fields themselves, which noise exceeds in one of a million. */
-#define GREATEST       1e15f  /* Largest field that is taken, uT; beyond it squares overflow. */
+#define ANY_NOISE 4.753f /* Normal deviate of the fields themselves, which noise exceeds in one of a million. */
+#define GREATEST  1e15f  /* Largest field that is taken, uT; beyond it squares overflow. */
 
 static bool hear(const pose_site_t *site, const pose_field_t *fields, uint32_t row, pose_heard_t *heard) {
     const pose_beacon_t *beacon = &site->beacons[row];
