@@ -40,7 +40,7 @@ static void plan_channel(drive_t *drive, hal_plan_t *plan, uint32_t block, uint3
         plan->set_point[channel][i] = (uint16_t)(set_point < 0 ? -set_point : set_point);
         plan->drive[i] = (uint8_t)(plan->drive[i] | bridge << HAL_DRIVE_BITS * channel);
         asked[i] = set_point;
-        driven |= (uint32_t)(level != 0) << i;
+        driven |= (level != 0 ? 1u : 0u) << i;
     }
     drive->blocks[block & 1u].driven[channel] = driven;
 }

@@ -28,10 +28,10 @@ void node_send(node_t *node, node_links_t links, uint32_t message, uint32_t inde
                uint8_t length) {
     frame_t frame = {.id = node_identifier(node, message, index), .length = length};
     memcpy(frame.data, data, length);
-    if (links & NODE_SERIAL) {
+    if ((links & NODE_SERIAL) != 0) {
         (void)queue_push(&node->serial, &frame); /* The queue counts what it refuses. */
     }
-    if ((links & NODE_CAN) && (!node->can_dead || queue_count(&node->can) == 0)) {
+    if ((links & NODE_CAN) != 0 && (!node->can_dead || queue_count(&node->can) == 0)) {
         (void)queue_push(&node->can, &frame);
     }
 }
@@ -50,7 +50,7 @@ node_links_t node_motion_room(node_t *node, node_links_t links, uint32_t message
 }
 
 void node_spend(node_t *node, node_links_t links, uint32_t messages) {
-    if (links & NODE_CAN) {
+    if ((links & NODE_CAN) != 0) {
         bus_share_spend(&node->share, messages, hal_microseconds(node->hal));
     }
 }
@@ -92,7 +92,7 @@ static inline void drain_can(node_t *node, uint64_t now_us) {
         node->can_us = now_us;
     } else if (now_us - node->can_us > NODE_CAN_GIVE_UP_US) {
         node->can_dead = true;
-        while (queue_front(&node->can)) {
+        while (queue_front(&node->can) != NULL) {
             queue_drop(&node->can);
             node->can_lost = node_count(node->can_lost, node->can_heard_us > node->can_us);
         }

@@ -24,7 +24,7 @@ static float root_of_trace(const float matrix[3][3]) {
 
 void pose_report(const pose_t *pose, uint32_t cycle, uint32_t index, node_t *node, node_links_t links) {
     const bool found = pose->status != POSE_FAILED;
-    const uint8_t cycle_low = cycle & 0xFu;
+    const uint8_t cycle_low = (uint8_t)(cycle & 0xFu);
     uint8_t data[8];
     const struct goldfield_pose_position_t position = {
         .x = found ? epoch_integer(pose->position_m[0], 1e-4f) : EPOCH_OUT_OF_RANGE,

@@ -49,7 +49,7 @@ void sense_samples(sense_t *sense, uint32_t block, const hal_samples_t *samples,
         const uint32_t saturated = epoch_sample((*samples)[i], sample) ? saturated_axes((*samples)[i]) : 0u;
         const uint32_t cycle = sync_cycle(&timing->format, &chip);
         const uint16_t code_chip = sync_chip(&timing->format, &chip);
-        if (acquire) {
+        if (acquire != NULL) {
             acquire_feed(acquire, absolute, &chip, (*samples)[i]);
         }
         if (late) {
@@ -263,7 +263,7 @@ void sense_blocks(sense_t *sense) {
 void sense_step(sense_t *sense) {
     node_t *node = sense->node;
     epoch_t *epoch = epoch_ready(&sense->collector);
-    if (epoch) {
+    if (epoch != NULL) {
         despread_transform(&epoch->despread);
         if (sense->most != 0u && epoch->locked) {
             (void)strongest_choose(&sense->strongest, &epoch->despread, sense->most, &sense->selection);

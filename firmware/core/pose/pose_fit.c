@@ -48,7 +48,7 @@ void pose_fit_rows(const pose_problem_t *problem, const pose_heard_t *heard, con
 }
 
 /* Returns a bound of a beacon's field in standard deviations of its most exact component. */
-static float signal(const pose_heard_t *heard) {
+static float clarity(const pose_heard_t *heard) {
     const float x = heard->whitening[0], y = heard->whitening[2], z = heard->whitening[5];
     return heard->magnitude_uT * (x > y ? x > z ? x : z : y > z ? y : z);
 }
@@ -74,7 +74,7 @@ static void evaluate(const pose_problem_t *problem, bool nuisance, pose_fit_t *f
             fit->cost += rows[axis][TRIANGLE_UNKNOWNS] * rows[axis][TRIANGLE_UNKNOWNS];
         }
         triangle_add(&fit->triangle, rows);
-        greatest = signal(heard) > greatest ? signal(heard) : greatest;
+        greatest = clarity(heard) > greatest ? clarity(heard) : greatest;
     }
     fit->rounding = GRAIN * greatest;
     if (!(fit->cost < POSE_FIT_HOPELESS)) { /* True also for what is not a number. */
