@@ -87,11 +87,13 @@ from goldfield.feeds.address import parse_address
 from goldfield.feeds.opening import open_feeds
 from tests.host.feeds.made import UNIX_S, epoch, setting
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-resource.setrlimit(resource.RLIMIT_FSIZE, (5000, 5000))
+before = resource.getrlimit(resource.RLIMIT_FSIZE)
+resource.setrlimit(resource.RLIMIT_FSIZE, (5000, before[1]))
 with open_feeds([parse_address(url) for url in sys.argv[1:]], setting(), live=False) as feeds:
     for number in range(200):
         feeds.write(epoch(number, arrived_s=UNIX_S + 0.1 * number))
 print(feeds.failed)
+resource.setrlimit(resource.RLIMIT_FSIZE, before)  # What measures coverage writes a file at the end.
 """
 
 

@@ -195,7 +195,8 @@ def test_a_file_of_another_program_is_told_by_its_topics(tmp_path):
 FILL = """
 import resource, signal, sys
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000))
+before = resource.getrlimit(resource.RLIMIT_FSIZE)
+resource.setrlimit(resource.RLIMIT_FSIZE, (20000, before[1]))
 from goldfield.recording import mcap_file
 mcap_file.FLUSH_S = 1e9
 file = mcap_file.McapFile(sys.argv[1])
@@ -205,6 +206,7 @@ for i in range(200):
     file.flush()
 file.close()
 print("went on", file.failed)
+resource.setrlimit(resource.RLIMIT_FSIZE, before)  # What measures coverage writes a file at the end.
 """
 
 

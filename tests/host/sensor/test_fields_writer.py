@@ -2,6 +2,7 @@
 
 import resource
 import signal
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -12,15 +13,20 @@ from goldfield.sensor.sinks import Fanout
 from tests.host.fake_sensor import SITE
 
 
-@pytest.fixture
+@contextmanager
 def small_disk():
-    """A limit of the size of files, which acts as a full disk does: a write is cut short, the next refused."""
+    """A limit of the size of files, which acts as a full disk does: a write is cut short, the next refused.
+
+    It holds for what pytest writes, too, and so not for longer than it has to.
+    """
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
-    yield
-    resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    signal.signal(signal.SIGXFSZ, handler)
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, handler)
 
 
 def epoch(number):
@@ -29,10 +35,9 @@ def epoch(number):
     return Fields(number, 0.1 * number, ids, np.full((len(ids), 3), 1.25e-7), np.full(len(ids), 1e-9))
 
 
-@pytest.mark.usefixtures("small_disk")
 def test_whole_epochs_are_left_and_it_is_told_once(tmp_path, capsys):
     path = tmp_path / "fields.csv"
-    with Fanout(waits=True) as sinks:
+    with small_disk(), Fanout(waits=True) as sinks:
         sinks.add(FieldsWriter(path), str(path))
         for number in range(1, 9):
             sinks.write(epoch(number))
