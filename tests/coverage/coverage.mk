@@ -1,10 +1,10 @@
-# Which lines the fast tests run: gcov on the core, in its own library and in that of host boards, and coverage.py on the host.
+# Which lines the tests of the core and of the host run: gcov on the core, in its own library and in that of host boards, and coverage.py on the host.
 COVERED := $(BUILD)/coverage
 COVERED_CFLAGS := -std=c11 -w -g -fPIC $(HOSTBOARD_INCLUDES)
 COVERED_COUNTED := -Og --coverage# -Og keeps every line one of its own; what is not ours is not counted, and quick.
 COVERED_CORE := $(CORE_SOURCES:%.c=$(COVERED)/core/%.o)
 COVERED_BOARD := $(HOSTBOARD_SOURCES:%.c=$(COVERED)/board/%.o) $(COVERED)/board/goldfield.o
-COVERED_TESTS ?= tests -m "not slow and not long"
+COVERED_TESTS ?= tests/firmware/core tests/protocol tests/host tests/docs -m "not slow"
 
 $(COVERED)/board/goldfield.o: $(PROTOCOL_OUT)/goldfield.c
 	@mkdir -p $(@D)
@@ -31,7 +31,7 @@ $(THIRD_PARTY_SOURCES:%.c=$(COVERED)/core/%.o) $(THIRD_PARTY_SOURCES:%.c=$(COVER
 # One process: a worker of xdist that is ended takes the counts of gcov with it.
 COVERED_PYTHON := GOLDFIELD_ROOT=$(CURDIR) OPENBLAS_NUM_THREADS=1 $(PYTHON) -m coverage
 
-coverage: all $(BUILD)/qemu.stamp $(COVERED)/libgf_core.so $(COVERED)/libgf_hostboard.so ## Lines of firmware/core and host that the fast tests run, by folder, held to 95 % each (a quarter of an hour)
+coverage: all $(BUILD)/qemu.stamp $(COVERED)/libgf_core.so $(COVERED)/libgf_hostboard.so ## Lines of firmware/core and host that their tests run, by folder, held to 95 % each (half an hour)
 	@find $(COVERED) -name '*.gcda' -delete; rm -rf $(COVERED)/host; mkdir -p $(COVERED)/host
 	@GOLDFIELD_LIBRARIES=$(abspath $(COVERED)) $(COVERED_PYTHON) run --rcfile=tests/coverage/coverage.ini \
 	  -m pytest -q --ignore=tests/packaging $(COVERED_TESTS) || echo "coverage: tests failed; the table is of what ran"
