@@ -8,7 +8,7 @@ import numpy as np
 
 from goldfield.errors import counted
 from goldfield.files.toml_table import Table
-from hil_sim.scenario.values import FloatArray, not_negative, positive, seed_of, vector
+from hil_sim.scenario.values import FloatArray, deviation, not_negative, positive, seed_of, vector
 from hil_sim.world.motion import Line, Motion, Still, Waypoints
 from hil_sim.world.roaming import Roaming, Shake
 from hil_sim.world.walk import Limits, Mark, Room, Visit, Walk, turning
@@ -17,6 +17,8 @@ LEAVES_S = 3.0
 """When walks and turns begin by default: the boards have started, are in step and have their currents by then."""
 LONGEST_S = 3600.0
 """Longest walk: its stops are drawn before the bench runs."""
+FARTHEST_M, FASTEST_M_PER_S, FASTEST_RAD_PER_S, LARGEST_SWAY_M = 1e4, 1e3, 1e3, 1.0
+"""What is farther, faster or sways more is a slip in the file: the boards would see nothing that they could use."""
 
 MOTION_KEYS = {
     "still": ("position_m", "rotation_vector_rad"),
@@ -61,21 +63,38 @@ def read_motion(root: Table, seed: int, cycle_s: float) -> tuple[Motion, tuple[V
         return _waypoints(table), ()
     if kind == "roaming":
         return _roaming(table, seed), ()
-    position = table.vector("position_m")
+    position = _near(table, "position_m", table.vector("position_m"))
     if kind == "turning":
         start_s, seconds = _times(table)
-        limits = Limits(math.inf, positive(table, "rate_rad_per_s", 1.0))
-        sway_m = not_negative(table, "sway_m", 0.0)
+        limits = Limits(math.inf, positive(table, "rate_rad_per_s", 1.0, FASTEST_RAD_PER_S))
+        sway_m = not_negative(table, "sway_m", 0.0, LARGEST_SWAY_M)
         return turning(seed_of(table, seed), start_s, seconds, position, sway_m, limits), ()
     rotation = vector(table, "rotation_vector_rad")
     if kind == "still":
         return Still(position, rotation), ()
-    return Line(position, rotation, vector(table, "velocity_m_per_s"), vector(table, "rate_rad_per_s")), ()
+    velocity, rate = vector(table, "velocity_m_per_s"), vector(table, "rate_rad_per_s")
+    for key, value, most in (
+        ("velocity_m_per_s", velocity, FASTEST_M_PER_S),
+        ("rate_rad_per_s", rate, FASTEST_RAD_PER_S),
+    ):
+        if np.abs(value).max() > most:
+            raise table.error(key, f"has {np.abs(value).max():g}; at most {most:g} are possible")
+    return Line(position, rotation, velocity, rate), ()
+
+
+def _near(table: Table, key: str, places_m: FloatArray) -> FloatArray:
+    """Return places, shape (..., 3); refuse those that no site has."""
+    farthest = float(np.abs(places_m).max(initial=0.0))
+    if farthest > FARTHEST_M:
+        raise table.error(
+            key, f"has {farthest:g}; a sensor is at most {FARTHEST_M:g} m from the origin: it is in metres"
+        )
+    return places_m
 
 
 def _waypoints(table: Table) -> Waypoints:
-    times = table.numbers("times_s")
-    positions, rotations = table.vectors("positions_m"), table.vectors("rotation_vectors_rad")
+    times, rotations = table.numbers("times_s"), table.vectors("rotation_vectors_rad")
+    positions = _near(table, "positions_m", table.vectors("positions_m"))
     if len(times) < 2 or np.any(np.diff(times) <= 0.0):
         raise table.error("times_s", "must be at least two times that increase")
     for key, value in (("positions_m", positions), ("rotation_vectors_rad", rotations)):
@@ -92,7 +111,7 @@ def _times(table: Table) -> tuple[float, float]:
 
 
 def _box(table: Table) -> tuple[FloatArray, FloatArray]:
-    low, high = table.vector("low_m"), table.vector("high_m")
+    low, high = (_near(table, key, table.vector(key)) for key in ("low_m", "high_m"))
     if np.any(high < low):
         raise table.error("high_m", "is below low_m: give the corner of the box with the largest x, y and z")
     return low, high
@@ -107,8 +126,8 @@ def _roaming(table: Table, seed: int) -> Roaming:
         seed_of(table, seed),
         low,
         high,
-        not_negative(table, "speed_m_per_s", 0.5),
-        not_negative(table, "rate_rad_per_s", 0.5),
+        not_negative(table, "speed_m_per_s", 0.5, FASTEST_M_PER_S),
+        not_negative(table, "rate_rad_per_s", 0.5, FASTEST_RAD_PER_S),
         shake,
     )
 
@@ -124,7 +143,10 @@ def _walk(table: Table, marks: tuple[Mark, ...], seed: int, cycle_s: float) -> W
         start_s,
         seconds,
         Room(low, high, tilt_rad, not_negative(table, "pause_s", 0.5)),
-        Limits(positive(table, "speed_m_per_s", 0.5), positive(table, "rate_rad_per_s", 1.0)),
+        Limits(
+            positive(table, "speed_m_per_s", 0.5, FASTEST_M_PER_S),
+            positive(table, "rate_rad_per_s", 1.0, FASTEST_RAD_PER_S),
+        ),
         marks,
         cycle_s,
     )
@@ -140,7 +162,7 @@ def _marks(root: Table, seed: int) -> tuple[Mark, ...]:
 
 def _mark(table: Table, off: FloatArray) -> Mark:
     table.allow(*KNOWN_POINT_KEYS)
-    position, sigma_m = table.vector("position_m"), not_negative(table, "sigma_m", 0.0)
+    position, sigma_m = _near(table, "position_m", table.vector("position_m")), deviation(table, "sigma_m", 1.0)
     cycles = table.integer("cycles") if "cycles" in table else 20
     if not 1 <= cycles <= 10_000:
         raise table.error("cycles", f"is {cycles}; it must lie in 1 to 10000")

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 from goldfield.files.toml_table import Table
+from goldfield.site.reading import LEAST_DEVIATION
 
 FloatArray = NDArray[np.float64]
 
@@ -17,16 +20,22 @@ def number(table: Table, key: str, default: float) -> float:
     return table.number(key) if key in table else default
 
 
-def positive(table: Table, key: str, default: float) -> float:
-    """Return a number above zero, or the default."""
-    return table.positive(key) if key in table else default
+def positive(table: Table, key: str, default: float, most: float = math.inf) -> float:
+    """Return a number above zero and at most ``most``, or the default."""
+    return _at_most(table, key, table.positive(key), most) if key in table else default
 
 
-def not_negative(table: Table, key: str, default: float) -> float:
-    """Return a number that is zero or more, or the default."""
+def not_negative(table: Table, key: str, default: float, most: float = math.inf) -> float:
+    """Return a number that is zero or more and at most ``most``, or the default."""
     value = number(table, key, default)
     if value < 0.0:
         raise table.error(key, f"is {value:g}; it must not be negative")
+    return _at_most(table, key, value, most)
+
+
+def _at_most(table: Table, key: str, value: float, most: float) -> float:
+    if value > most:
+        raise table.error(key, f"is {value:g}; at most {most:g} are possible")
     return value
 
 
@@ -35,6 +44,8 @@ def deviation(table: Table, key: str, limit: float) -> float:
     value = number(table, key, 0.0)
     if not 0.0 <= value < limit:
         raise table.error(key, f"is {value:g}; it is a standard deviation, from 0 to below {limit:g}")
+    if 0.0 < value < LEAST_DEVIATION:
+        raise table.error(key, f"is {value:g}; nothing is known so well: write 0 for what is exact")
     return value
 
 

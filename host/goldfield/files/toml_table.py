@@ -6,6 +6,7 @@ import difflib
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
+from datetime import date, time
 from pathlib import Path
 from typing import Any
 
@@ -296,5 +297,7 @@ def _kind(value: object) -> str:
         return "a table"
     if isinstance(value, int) and abs(value) >= LARGEST_WHOLE:
         return "one of more than 18 digits"
+    if isinstance(value, date | time):  # a datetime is a date, too
+        return f"the date or time {value}"
     shown = repr(value)
     return shown if len(shown) <= 60 else f"{shown[:57]}..."

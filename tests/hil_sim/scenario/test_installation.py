@@ -141,6 +141,7 @@ def test_an_anchor_is_shifted_and_turned_with_its_coil():
             "current_sd = -0.1",
             "current_sd is -0.1; it is a standard deviation, from 0 to below 0.5",
         ),
+        ("current_sd = 0.005", "current_sd = 1e-13", "current_sd is 1e-13; nothing is known so well: write 0 for"),
         ("axis_sd_rad = 0.02", "axis_sd_deg = 2", 'axis_sd_deg is no known key; did you mean "axis_sd_rad"?'),
         ('shape = "ball"', 'shape = "beam"', 'shape is "beam"; it must be one of sheet, ball'),
         ('material = "iron"', 'material = "gold"', 'material is "gold"; it must be one of conductor, iron'),

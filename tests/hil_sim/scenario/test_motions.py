@@ -118,6 +118,14 @@ def test_what_is_wrong_with_roaming_is_said(tmp_path, key, words):
         ("seconds = 20.0", "seconds = 20.0\nspeed_m_per_s = 0.0", "speed_m_per_s is 0; it must be greater than zero"),
         ("cycles = 5", "cycles = 0", "[[known_point]] 1: cycles is 0; it must lie in 1 to 10000"),
         ("cycles = 5", "weeks = 5", "[[known_point]] 1: weeks is no known key"),
+        ("low_m = [0.2, 0.2, 0.2]", "low_m = [-2e4, 0, 0]", "low_m has 20000; a sensor is at most 10000 m from the"),
+        ("[0.5, 0.5, 0.3]", "[0.5, 1e12, 0.3]", "[[known_point]] 1: position_m has 1e+12; a sensor is at most"),
+        (
+            "seconds = 20.0",
+            "seconds = 20.0\nspeed_m_per_s = 1001.0",
+            "speed_m_per_s is 1001; at most 1000 are possible",
+        ),
+        ("sigma_m = 0.002", "sigma_m = 1.0", "sigma_m is 1; it is a standard deviation, from 0 to below 1"),
         (
             WALK,
             '"still"\nposition_m = [0.5, 0.6, 0.4]',
@@ -128,6 +136,33 @@ def test_what_is_wrong_with_roaming_is_said(tmp_path, key, words):
 def test_what_is_wrong_is_said(tmp_path, old, new, words):
     with pytest.raises(UserError, match=re.escape(words)):
         scenario.load(walking(tmp_path, old, new))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("sway_m = 0.01", "sway_m = 1e9", "sway_m is 1e+09; at most 1 are possible"),
+        ("sway_m = 0.01", "rate_rad_per_s = 1e9", "rate_rad_per_s is 1e+09; at most 1000 are possible"),
+        ("[0.5, 0.6, 0.4]", "[1e12, 0, 0]", "position_m has 1e+12; a sensor is at most 10000 m from the origin"),
+        ("[0.5, 0.6, 0.4]", "[1, 2]", "position_m must be three finite numbers [x, y, z], not [1, 2]"),
+        ("sway_m = 0.01", "seed = -1", "seed must lie in 0 to 2^63 - 1"),
+        ("sway_m = 0.01", "sway = 0.01", 'sway is no known key; did you mean "sway_m"?'),
+        ("seconds = 60.0", "seconds = 1979-05-27", "must be a finite number, not the date or time 1979-05-27"),
+        ('"turning"', '"turnin"', 'kind is "turnin"; it must be one of still, line'),
+    ],
+)
+def test_what_is_wrong_with_turning_is_said(tmp_path, old, new, words):
+    turning = '"turning"\nposition_m = [0.5, 0.6, 0.4]\nseconds = 60.0\nsway_m = 0.01'
+    with pytest.raises(UserError, match=re.escape(words)):
+        scenario.load(walking(tmp_path, WALK, turning.replace(old, new), more=""))
+
+
+@pytest.mark.parametrize("key", ["velocity_m_per_s", "rate_rad_per_s"])
+def test_a_line_that_nothing_can_follow_is_refused(tmp_path, key):
+    line = '"line"\nposition_m = [0.5, 0.6, 0.4]\n' + key
+    with pytest.raises(UserError, match=f"{key} has 2000; at most 1000 are possible"):
+        scenario.load(walking(tmp_path, WALK, f"{line} = [0.0, -2000.0, 0.0]", more=""))
+    scenario.load(walking(tmp_path, WALK, f"{line} = [0.0, -1000.0, 0.0]", more=""))
 
 
 def test_the_truth_of_a_walk_has_its_course_and_that_of_a_stop_none(tmp_path):
