@@ -1,9 +1,10 @@
 """Time, memory and sameness of a large plan: ``make plan-figures`` (PLAN="--points 20000" for a small one).
 
 A hall with a ceiling lattice of beacons is planned in one process, in two, and on two Dask workers of this machine,
-each from a start of its own, as a user would. It prints the seconds, the largest memory of any process and of all
-together, the ratios, and the largest relative difference of the maps; it ends with 1 if a map differs by more than
-1e-12.
+each from a start of its own, as a user would. It prints the seconds, those of the processor in all processes, the
+largest memory of any process and of all together, the ratios, and the largest relative difference of the maps; it ends
+with 1 if a map differs by more than 1e-12. What two processes spend beside what one does is the price of spreading,
+whatever else the machine does; ``on idle cores`` is how much faster two of them are at best.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
+import resource
 import subprocess
 import sys
 import tempfile
@@ -67,20 +69,32 @@ class Memory:
         self._thread.join()
 
 
+def spent(pids):
+    """Return the seconds of the processor that running processes have used."""
+    times = [psutil.Process(pid).cpu_times() for pid in pids]
+    return sum(one.user + one.system for one in times)
+
+
+def ended():
+    """Return the seconds of the processor that processes which have ended have used, and theirs before them."""
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime
+
+
 def measured(words, out, others=()):
-    """Run the command; return its seconds, the largest process and all together in MB, and the map's arrays."""
+    """Run the command; return its seconds, those of the processor, MB of the largest process and of all, and arrays."""
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
     command = [sys.executable, "-m", "goldfield", "plan", *words, "--out", str(out), "--json"]
-    begin = time.perf_counter()
+    begin, used = time.perf_counter(), spent(others) + ended()
     process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
     memory = Memory(process.pid, others)
     printed, _ = process.communicate()
-    seconds = time.perf_counter() - begin
+    seconds, used = time.perf_counter() - begin, spent(others) + ended() - used
     memory.stop()
     if process.returncode:
         raise SystemExit(f"the plan ended with {process.returncode}")
     with np.load(out) as arrays:
-        return seconds, memory.largest / 1e6, memory.together / 1e6, dict(arrays), printed
+        return seconds, used, memory.largest / 1e6, memory.together / 1e6, dict(arrays), printed
 
 
 def difference(first, second):
@@ -119,14 +133,16 @@ def main():
             address = ["--scheduler", cluster.scheduler_address]
             results["2 Dask workers"] = measured([*words, *address], folder / "dask.npz", workers)
     first = results["1 process"]
-    print(f"{beacons} beacons, {first[3]['position_sd_m'].size} points, step {STEP_M} m: {first[4].strip()}")
+    print(f"{beacons} beacons, {first[4]['position_sd_m'].size} points, step {STEP_M} m: {first[5].strip()}")
     worst = 0.0
-    for way, (seconds, largest, together, arrays, _) in results.items():
-        apart = difference(first[3], arrays)
+    for way, (seconds, used, largest, together, arrays, _) in results.items():
+        apart = difference(first[4], arrays)
+        idle = (1 if way == "1 process" else 2) * first[1] / used
         worst = max(worst, apart)
         print(
-            f"{way:15} {seconds:8.1f} s, {first[0] / seconds:5.2f} times as fast as one process, largest process "
-            f"{largest:6.0f} MB, together {together:6.0f} MB, largest relative difference {apart:.1e}"
+            f"{way:15} {seconds:8.1f} s, {first[0] / seconds:5.2f} times as fast as one process; "
+            f"processor {used:7.1f} s, on idle cores at best {idle:.2f} times as fast; "
+            f"largest process {largest:5.0f} MB, together {together:5.0f} MB; largest relative difference {apart:.1e}"
         )
     return int(worst > LARGEST_DIFFERENCE)
 
