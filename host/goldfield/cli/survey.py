@@ -33,7 +33,7 @@ def command(subparsers: Any) -> None:
         parser,
         "--known",
         metavar="KNOWN.toml",
-        what="[known] with lists of distance, height, position, direction and current",
+        what="[known] with lists of distance, height, position, direction, current and sensor",
     )
     parser.add_argument(
         "--anchor",

@@ -19,14 +19,14 @@ from goldfield.cli import link_options, options, survey_live
 from goldfield.cli.output import json_line, number
 from goldfield.cli.page_progress import SurveyProgress
 from goldfield.cli.page_shown import shown
-from goldfield.errors import Loudness, UserError, loudness
+from goldfield.errors import Loudness, UserError, counted, loudness
 from goldfield.files.outputs import check_outputs, check_writable, write_file
 from goldfield.sensor.fields_table import read_fields
 from goldfield.site import Site
 from goldfield.site.metal import Metal, no_metal
 from goldfield.site.revision import BeaconRevision, SensorRevision, revised
 from goldfield.survey import Free, SurveyData, SurveyResult, procedure, survey
-from goldfield.survey.data import AnchorFields, Known, MetalFound, SensorPlace
+from goldfield.survey.data import AnchorFields, Known, MetalFound, Outlier, SensorPlace
 from goldfield.survey.known_files import read_known, read_points
 from goldfield.types import Fields
 
@@ -34,7 +34,7 @@ LINKS = ("port", "can", "log")
 LIVE_OPTIONS = ("--node", "--seconds", "--enough", "--view")
 """Options of a survey that reads a sensor or a recording."""
 MOST_OUTLIERS = 10
-"""Outliers that the table for people names one by one."""
+"""Lines on outliers in the table for people; those that follow each other with the same beacons share one."""
 
 
 def make_survey(arguments: argparse.Namespace) -> int:
@@ -312,9 +312,27 @@ def table_of(site: Site, result: SurveyResult) -> str:
         lines += _metal_lines(result, result.metal)
     before = "" if np.isnan(result.residual_before) else f", {result.residual_before:.3g} before"
     lines.append(f"residual {result.residual_after:.3g}{before} (1: the noise alone)")
-    for outlier in result.outliers[:MOST_OUTLIERS]:
-        of = f" of {', '.join(outlier.beacons)}" if outlier.beacons else ""
-        lines.append(f"epoch {outlier.epoch}: the fields{of} do not agree (residual {outlier.residual:.3g}): left out")
-    if len(result.outliers) > MOST_OUTLIERS:
-        lines.append(f"{len(result.outliers) - MOST_OUTLIERS} more epochs do not agree and were left out")
+    lines += outlier_lines(result.outliers)
     return "\n".join([*lines, *result.advice])
+
+
+def outlier_lines(outliers: Sequence[Outlier]) -> list[str]:
+    """Name the outliers, a line for those of neighbouring epochs with the same beacons, and count what is over."""
+    runs: list[list[Outlier]] = []
+    for one in outliers:
+        last = runs[-1][-1] if runs else None
+        if last is not None and last.epoch + 1 == one.epoch and last.beacons == one.beacons:
+            runs[-1].append(one)
+        else:
+            runs.append([one])
+    lines = []
+    for run in runs[:MOST_OUTLIERS]:
+        of = f" of {', '.join(run[0].beacons)}" if run[0].beacons else ""
+        which = f"epoch {run[0].epoch}" if len(run) == 1 else f"epochs {run[0].epoch} to {run[-1].epoch}"
+        most = "" if len(run) == 1 else "up to "
+        worst = max(one.residual for one in run)
+        lines.append(f"{which}: the fields{of} do not agree (residual {most}{worst:.3g}): left out")
+    over = sum(len(run) for run in runs[MOST_OUTLIERS:])
+    if over:
+        lines.append(f"and {counted(over, 'epochs')} more: left out")
+    return lines

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from goldfield.field import FieldModel
 from goldfield.locate.mirror import find_mirror
-from goldfield.survey.data import Current, Direction, Distance, Known, Place, SurveyData
+from goldfield.survey.data import Current, Direction, Distance, Free, Known, Place, SurveyData
 from goldfield.survey.outcome import Solution
 from goldfield.survey.parameters import BEACON, across
 from goldfield.types import FloatArray
@@ -56,8 +56,8 @@ class Mode:
     amount: FloatArray
 
 
-def advice_of(solution: Solution, data: SurveyData) -> tuple[str, ...]:
-    """Return what to know and what to do, as sentences."""
+def advice_of(solution: Solution, data: SurveyData, sought: frozenset[Free]) -> tuple[str, ...]:
+    """Return what to know and what to do, as sentences; ``sought`` is what was estimated."""
     free = solution.problem.prior.free[: BEACON * len(solution.state.axis)].reshape(-1, BEACON)
     if not free[:, 0].any():
         return ()
@@ -72,8 +72,10 @@ def advice_of(solution: Solution, data: SurveyData) -> tuple[str, ...]:
         ]
     lines += _misfits(solution, data)
     if solution.widened > 1.0:
+        metal = "" if Free.FIELD in sought else "; if metal is near, find it with --free field added"
         lines.append(
             f"the fields scatter {solution.widened:.2g} times as much as sigma_T says: all deviations were widened so"
+            + metal
         )
     lines += _worst(solution)
     if solution.problem.site.half_space is None and find_mirror(model) is not None and data.epochs:

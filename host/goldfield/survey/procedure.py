@@ -174,7 +174,7 @@ def result_of(site: Site, solution: Solution, data: SurveyData, free: frozenset[
             *reversals_in_words(site, found),
             *surprises(solution),
             *untold_levers(solution),
-            *advice_of(solution, data),
+            *advice_of(solution, data, free),
         ),
         position_m=np.where(gone[:, None], np.nan, solution.state.sensor_m),
         rotation=np.where(gone[:, None, None], np.nan, solution.state.rotation),

@@ -11,6 +11,7 @@ from goldfield import site as sites
 from goldfield.cli import main, surveying
 from goldfield.errors import SystemFailure
 from goldfield.sensor.fields_table import FieldsWriter
+from goldfield.survey.data import Outlier
 from tests.bench.integrity_sites import text_of
 from tests.bench.survey_trials import ASTRAY, cube, trial
 from tests.host.fake_sensor import SITE
@@ -132,3 +133,18 @@ def test_what_does_not_fit_is_no_new_site(room, tmp_path, capsys):
     assert main(arguments(folder, out, "--free", "position")) == 3
     assert "no survey fits the fields" in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_outliers_that_follow_each_other_share_a_line():
+    epochs = [(3, ("b1",), 2.0), (4, ("b1",), 3.5), (5, (), 2.5), (7, (), 2.25), (8, (), 4.0), (9, (), 3.0)]
+    outliers = [Outlier(*one) for one in epochs]
+    assert surveying.outlier_lines(outliers) == [
+        "epochs 3 to 4: the fields of b1 do not agree (residual up to 3.5): left out",
+        "epoch 5: the fields do not agree (residual 2.5): left out",
+        "epochs 7 to 9: the fields do not agree (residual up to 4): left out",
+    ]
+    apart = [Outlier(2 * k, (), 2.0) for k in range(surveying.MOST_OUTLIERS + 1)]
+    *named, rest = surveying.outlier_lines(apart)
+    assert len(named) == surveying.MOST_OUTLIERS
+    assert rest == "and 1 epoch more: left out"
+    assert surveying.outlier_lines(apart[:-1]) == named

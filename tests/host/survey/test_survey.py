@@ -244,9 +244,18 @@ def test_fields_that_scatter_more_than_they_say_widen_the_deviations():
     bold = tuple(replace(fields, sigma_T=0.5 * fields.sigma_T) for fields in made.data.epochs)
     plain = survey(made.site, made.data)
     result = survey(made.site, replace(made.data, epochs=bold))
-    assert any("the fields scatter 2 times" in line for line in result.advice)
+    (line,) = [line for line in result.advice if "the fields scatter 2 times" in line]
+    assert line.endswith("; if metal is near, find it with --free field added")
     ratio = np.sqrt(np.diag(result.covariance)) / np.sqrt(np.diag(plain.covariance))
     assert ratio == pytest.approx(np.ones(len(ratio)), rel=0.1)
+
+
+def test_whoever_looked_for_metal_is_not_told_to_look_for_it():
+    made = trial(cube(), 1, epochs=100, points=6)
+    bold = tuple(replace(fields, sigma_T=0.5 * fields.sigma_T) for fields in made.data.epochs)
+    result = survey(made.site, replace(made.data, epochs=bold), default_free(made.site) | {Free.FIELD})
+    (line,) = [line for line in result.advice if "the fields scatter 2 times" in line]
+    assert line.endswith("all deviations were widened so")
 
 
 def test_derivatives_are_those_of_differences():
