@@ -252,7 +252,7 @@ def _coils_text(found: list[CoilCalibration]) -> str:
         tau = (
             f"{coil.tau_s * 1e6:10.2f} {coil.tau_sd_s * 1e6:8.2f}"
             if coil.tau_sd_s is not None
-            else (f"{'below':>10} {coil.tau_below_s * 1e6:8.2f}")
+            else f"{f'< {coil.tau_below_s * 1e6:.2f}':>10} {'':>8}"
         )
         polarity = {None: "not known: give --at", True: "reversed", False: "as the site says"}[coil.reversed]
         lines.append(f"{coil.beacon:<{width}} {tau}  {polarity}")

@@ -15,6 +15,7 @@ from goldfield.planning.floor import Floor
 from goldfield.planning.grid import extent
 from goldfield.planning.layers import LAYERS, Layer, shown
 from goldfield.planning.maps import Maps
+from goldfield.types import FloatArray
 
 MOST_HEIGHTS = 3
 """Heights that are drawn: the lowest, the middle and the highest of more."""
@@ -54,7 +55,7 @@ def png(maps: Maps, floor: Floor | None = None) -> bytes:
         ticks = np.geomspace(low, high, TICKS).tolist()
         bar.set_ticks(ticks, labels=[shown(tick) for tick in ticks])
         bar.ax.minorticks_off()
-    figure.suptitle(_title(maps), fontsize=9)
+    figure.suptitle(title(maps), fontsize=9)
     buffer = io.BytesIO()
     figure.savefig(buffer, dpi=DOTS_PER_INCH, metadata={"Software": None})
     return buffer.getvalue()
@@ -79,15 +80,19 @@ def _panel(axes: Axes, maps: Maps, layer: Layer, height: int, floor: Floor | Non
         interpolation="nearest",
     )
     _hatch(axes, maps, height)
-    place = maps.beacon_position_m
-    here = (place[:, 0] >= x0) & (place[:, 0] <= x1) & (place[:, 1] >= y0) & (place[:, 1] <= y1)
-    size = float(np.clip(300.0 / max(1, here.sum()), 0.4, 5.0))
-    axes.plot(
-        *place[here, :2].T, "o", markersize=size, color="white", markeredgecolor="black", markeredgewidth=size / 6
-    )
+    here = _beacons_on(maps)
+    size = float(np.clip(300.0 / max(1, len(here)), 0.4, 5.0))
+    axes.plot(*here.T, "o", markersize=size, color="white", markeredgecolor="black", markeredgewidth=size / 6)
     axes.set(xlim=(x0, x1), ylim=(y0, y1), aspect="equal", xlabel="x, m", ylabel="y, m")
     axes.set_title(f"{layer.title}, z = {grid.z_m[height]:g} m", fontsize=9)
     return image
+
+
+def _beacons_on(maps: Maps) -> FloatArray:
+    """Return x and y of the beacons that are on the maps, m, shape (n, 2)."""
+    x0, x1, y0, y1 = extent(maps.grid.x_m, maps.grid.y_m)
+    place = maps.beacon_position_m[:, :2]
+    return np.asarray(place[((place >= (x0, y0)) & (place <= (x1, y1))).all(axis=1)])
 
 
 def _hatch(axes: Axes, maps: Maps, height: int) -> None:
@@ -101,9 +106,11 @@ def _hatch(axes: Axes, maps: Maps, height: int) -> None:
             axes.contourf(grid.x_m, grid.y_m, layer.T, levels=[0.5, 1.5], colors="none", hatches=[pattern])
 
 
-def _title(maps: Maps) -> str:
-    summary = maps.summary()
+def title(maps: Maps) -> str:
+    """Say in a line what the maps show, and whether the beacons are on them."""
+    summary, on = maps.summary(), len(_beacons_on(maps))
+    dots = "dots" if on == summary["beacons"] else f"dots: {on}, the others are outside of the map" if on else "outside"
     return (
-        f"{summary['beacons']} beacons (dots), {summary['points']} points; "
+        f"{summary['beacons']} beacons ({dots}), {summary['points']} points; "
         f"/ ambiguous {100 * summary['ambiguous']:.3g} %, x weak {100 * summary['weak']:.3g} %"
     )
