@@ -1,16 +1,17 @@
 """How near a survey comes to the truth, ten seeds each: ``python -m tests.bench.survey_figures [NAME ...]``.
 
 A row tells the root of the mean square error of the beacons' places over all seeds, the bound (the covariance that the
-survey claims), their ratio, the normalised square of all errors per degree of freedom, and how many surveys failed and
-said so. Then for poses afterwards, on the surveyed site: the root of the mean square error of their places, its bound
-(by noise and by the covariance of the survey, `tests.bench.survey_poses`), and the ratio.
+survey claims), their ratio, the normalised square of all errors per degree of freedom, how many surveys failed and said
+so, and how many corrupted epochs were not named. Then for poses afterwards, on the surveyed site: the root of the mean
+square error of their places, its bound (by noise and by the covariance of the survey, `tests.bench.survey_poses`), the
+ratio, and how many have no pose; and the seconds of the processor for a survey.
 """
 
 from __future__ import annotations
 
 import argparse
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -92,6 +93,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(CASES)}")
     parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--epochs", type=int, help="length of the walk, in place of the case's")
     arguments = parser.parse_args()
     print(
         f"{'case':<24}{'rms_mm':>8}{'bound_mm':>10}{'ratio':>7}{'nees':>7}{'failed':>8}{'missed':>8}"
@@ -99,7 +101,8 @@ def main() -> None:
         flush=True,
     )
     for name in arguments.names or CASES:
-        print(f"{name:<24}{row(CASES[name], arguments.seeds)}", flush=True)
+        case = CASES[name] if arguments.epochs is None else replace(CASES[name], epochs=arguments.epochs)
+        print(f"{name:<24}{row(case, arguments.seeds)}", flush=True)
 
 
 def row(case: Case, seeds: int) -> str:
