@@ -25,6 +25,7 @@ from goldfield.survey.adjustment import (
     evaluate,
 )
 from goldfield.survey.advice import advice_of
+from goldfield.survey.anchor_tables import sensors_elsewhere
 from goldfield.survey.data import Free, SurveyData, SurveyResult
 from goldfield.survey.equations import Readings, inverse
 from goldfield.survey.levers import untold_levers
@@ -174,6 +175,7 @@ def result_of(site: Site, solution: Solution, data: SurveyData, free: frozenset[
             *reversals_in_words(site, found),
             *surprises(solution),
             *untold_levers(solution),
+            *sensors_elsewhere(found, data.anchors),
             *advice_of(solution, data, free),
         ),
         position_m=np.where(gone[:, None], np.nan, solution.state.sensor_m),

@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 
 from goldfield.errors import UserError
 from goldfield.survey import SurveyData, survey
-from goldfield.survey.anchor_tables import ELSEWHERE, MISFIT, check_anchor_tables
+from goldfield.survey.anchor_tables import ELSEWHERE, FAR_M, MISFIT, SLACK, check_anchor_tables, sensors_elsewhere
 from goldfield.survey.data import AnchorFields
 from goldfield.types import Fields
 from tests.bench.locate_trials import magpylib_fields
@@ -79,6 +79,35 @@ def test_the_table_of_another_anchor_is_refused(walked):
     with pytest.raises(UserError, match="the fields of the anchor b0 are those of a sensor at b1"):
         survey(walked.site, SurveyData((), (), (), swapped))
     survey(walked.site, SurveyData((), (), (), walked.data.anchors))
+
+
+def heard_above(site, distance_m, **told):
+    """Return what the sensor of the first anchor hears of its own coil, on its axis as far as a dipole would be."""
+    own = site.beacons[0]
+    place = own.position_m + np.sqrt(distance_m**2 - own.radius_m**2) * own.axis
+    field = magpylib_fields(site, place[None])[0, :1]
+    return AnchorFields(own.id, Fields(0, 0.0, (own.id,), field, np.array([1e-9])), **told)
+
+
+@pytest.mark.parametrize("part", [0.98, 1.02])
+def test_a_sensor_that_hears_its_coil_from_afar_is_named(walked, part):
+    """On the axis a field is that of the least distance that it may have, times the cube root of two."""
+    anchor = heard_above(walked.site, part * FAR_M * np.cbrt(2.0))
+    lines = list(sensors_elsewhere(walked.site, (anchor,)))
+    assert len(lines) == (part > 1.0)
+    assert all("hears its own coil as if it stood 0.31 to 0.39 m" in line for line in lines)
+
+
+@pytest.mark.parametrize(("told_m", "fits"), [(0.5, True), (0.49 * SLACK, True), (0.51 * SLACK, False), (0.31, False)])
+def test_a_place_that_was_told_is_compared_with_what_the_sensor_hears(walked, told_m, fits):
+    anchor = heard_above(walked.site, 0.5, lever_m=np.array([0.0, told_m, 0.0]), lever_sd_m=0.002)
+    lines = list(sensors_elsewhere(walked.site, (anchor,)))
+    assert len(lines) == (not fits)
+    assert all(f"and sensor in --known has {told_m:.2g} m: check it" in line for line in lines)
+
+
+def test_without_its_own_field_an_anchor_is_not_judged(walked):
+    assert not list(sensors_elsewhere(walked.site, walked.data.anchors))
 
 
 @pytest.mark.parametrize("part", [0.98, 1.02])
