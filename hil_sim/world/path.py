@@ -12,6 +12,7 @@ from typing import Any
 
 import magpylib
 import numpy as np
+from magpylib.core import current_circle_Hfield
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
@@ -29,6 +30,8 @@ TOLERANCE = 1e-5
 MARGIN = 4.0
 """The error is looked at in the middle of the intervals, where it is largest on a smooth path; the rest is margin."""
 FEWEST_KNOTS, MOST_INTERVALS = 9, 16384
+FIELDS_AT_ONCE = 16384
+"""Positions times coils of one call of magpylib: more do not stay in a processor's cache, fewer spend it on calls."""
 NO_FIELD = 1e-12
 """What is smaller counts as that large where errors are relative, T/A or T: no converter sees it."""
 
@@ -75,6 +78,40 @@ class CoilGeometry:
         return np.asarray(wire.getB(positions_m), dtype=np.float64).reshape(-1, 3)
 
 
+def fields_per_ampere(coils: Sequence[Source], positions_m: FloatArray) -> FloatArray:
+    """Return what each coil's `field_per_ampere` tells, shape (n, coils, 3), all circular loops in a few calls."""
+    fields = np.empty((len(positions_m), len(coils), 3))
+    loops: dict[int, CoilGeometry] = {}
+    for i, coil in enumerate(coils):
+        if isinstance(coil, CoilGeometry) and coil.points_m is None:
+            loops[i] = coil
+        else:
+            fields[:, i] = coil.field_per_ampere(positions_m)
+    at_once = max(1, FIELDS_AT_ONCE // len(positions_m))
+    for some in (list(loops)[begin : begin + at_once] for begin in range(0, len(loops), at_once)):
+        fields[:, some] = _loops_field([loops[i] for i in some], positions_m)
+    return fields
+
+
+def _loops_field(loops: Sequence[CoilGeometry], positions_m: FloatArray) -> FloatArray:
+    """Return B of one ampere in each of several circular loops, shape (n, loops, 3), tesla.
+
+    magpylib's formula knows loops around the z axis alone, and gives cylindrical components there.
+    """
+    axis = np.array([loop.axis / np.linalg.norm(loop.axis) for loop in loops])
+    away = positions_m[:, None, :] - np.array([loop.position_m for loop in loops])
+    along = np.einsum("nci,ci->nc", away, axis)
+    across = away - along[..., None] * axis
+    radius = np.linalg.norm(across, axis=2)
+    turns = np.broadcast_to([loop.turns for loop in loops], radius.shape)
+    size = np.broadcast_to([float(loop.radius_m or 0.0) for loop in loops], radius.shape)
+    with np.errstate(divide="ignore", invalid="ignore"):  # on a wire: the caller looks for what is not finite
+        radial, _, axial = current_circle_Hfield(size.ravel(), radius.ravel(), along.ravel(), turns.ravel())
+    outward = across / np.maximum(radius, np.finfo(float).tiny)[..., None]
+    field = radial.reshape(radius.shape)[..., None] * outward + axial.reshape(radius.shape)[..., None] * axis
+    return np.asarray(magpylib.mu_0 * field)
+
+
 @dataclass(frozen=True, eq=False)
 class Path:
     """Cubics on equal intervals.
@@ -101,13 +138,14 @@ def columns(coils: Sequence[Source], motion: Motion, times_s: FloatArray, magnet
     """
     positions, rotation = motion.poses(times_s)
     to_sensor = np.swapaxes(rotation.as_matrix(), 1, 2)
-    fields = [np.einsum("nij,nj->ni", to_sensor, coil.field_per_ampere(positions)) for coil in coils]
+    fields = np.einsum("nij,ncj->nci", to_sensor, fields_per_ampere(coils, positions))
     magnetic = np.zeros((len(times_s), 3))
     for magnet in magnets:
         magnetic += np.einsum("nij,nj->ni", to_sensor, magnet.field_T(positions, times_s))
-    result = np.hstack([*fields, to_sensor.reshape(len(times_s), 9), magnetic])
+    count = len(times_s)
+    result = np.hstack([fields.reshape(count, 3 * len(coils)), to_sensor.reshape(count, 9), magnetic])
     # On a wire magpylib gives zero or what is not finite; a coil alone has no zero of its field anywhere else.
-    if not np.all(np.isfinite(result)) or not all(np.all(np.any(field, axis=1)) for field in fields):
+    if not np.all(np.isfinite(result)) or not np.all(np.any(fields, axis=2)):
         raise PathError(
             "the sensor runs through a coil's wire, where the field has no limit: move the path or the coil"
         )

@@ -40,6 +40,20 @@ def test_square_wire_at_its_center():
     np.testing.assert_allclose(wire.field_per_ampere(np.zeros((1, 3)))[0], [0.0, 0.0, expected], rtol=1e-9, atol=1e-18)
 
 
+def test_many_coils_at_once_are_each_alone(monkeypatch):
+    """Loops any way up, on their axis and off it, and a wire among them, in one call of magpylib and in several."""
+    random = np.random.default_rng(5)
+    coils = [loop(random.normal(size=3), random.normal(size=3), 19.0 + i, 0.1 + 0.01 * i) for i in range(7)]
+    corners = np.array([[1, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, 1, 0]], dtype=float)
+    coils.insert(3, path.CoilGeometry(turns=2.0, radius_m=None, position_m=ORIGIN, axis=UP, points_m=corners))
+    points = np.vstack([random.normal(0.0, 3.0, (20, 3)), coils[1].position_m + np.outer([0.0, 0.4], coils[1].axis)])
+    alone = np.stack([coil.field_per_ampere(points) for coil in coils], axis=1)
+    size = np.linalg.norm(alone, axis=2, keepdims=True)
+    for at_once in (path.FIELDS_AT_ONCE, 3 * len(points), 1):
+        monkeypatch.setattr(path, "FIELDS_AT_ONCE", at_once)
+        assert np.max(np.abs(path.fields_per_ampere(coils, points) - alone) / size) < 1e-12
+
+
 def test_columns_are_in_the_sensors_frame():
     motion = Still(np.array([0.0, 0.0, 0.7]), np.array([np.pi / 2, 0.0, 0.0]))
     values = path.columns([loop()], motion, np.array([0.0]))[0]
