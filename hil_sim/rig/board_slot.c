@@ -59,7 +59,7 @@ static void on_pin_out(void *context, unsigned pin, bool level, int64_t time_ps)
 static void on_pin_release(void *context, unsigned pin, board_pull_t pull, int64_t time_ps) {
     board_slot_t *const slot = context;
     const bool pulled_down = !slot->pull_downs_lost && (pin == BOARD_PIN_ENABLE || pin == BOARD_PIN_SYNC_OUT);
-    const uint64_t chance = noise_bits(slot->seed, noise_stream(NOISE_FLOATING, slot->number, pin), slot->releases++);
+    const uint64_t chance = noise_bits(noise_stream(slot->seed, NOISE_FLOATING, slot->number, pin), slot->releases++);
     slot->driven &= ~(UINT64_C(1) << pin % 64);
     set_level(slot, pin, !pulled_down && (pull == BOARD_PULL_NONE ? (chance & 1u) != 0 : pull == BOARD_PULL_UP),
               time_ps);
@@ -108,7 +108,7 @@ static double on_analog_in(void *context, unsigned pin, int64_t time_ps) {
     }
     for (unsigned i = 0; i < slot->coils; ++i) {
         if (pin == channel_pins[i].current) {
-            return coil_sense(&slot->coil[i], slot->seed, noise_stream(NOISE_CURRENT_SENSE, slot->number, i), time_ps);
+            return coil_sense(&slot->coil[i], slot->sense_stream[i], time_ps);
         }
         if (pin == channel_pins[i].temperature) {
             return thermistor_volts(slot->coil_hot[i] ? glowing_degC : coil_temperature(&slot->coil[i], time_ps));
@@ -160,6 +160,7 @@ void board_slot_init(board_slot_t *slot, unsigned number, uint64_t seed, const r
     };
     for (unsigned i = 0; i < config->coils; ++i) {
         coil_init(&coil[i], &config->coil[i]);
+        slot->sense_stream[i] = noise_stream(seed, NOISE_CURRENT_SENSE, number, i);
     }
     board_slot_power_lost(slot, 0); /* As long as it has none. */
 }

@@ -47,9 +47,10 @@ typedef struct {
     const board_operations_t *operations;
     board_status_t status; /* What its last step returned. */
     unsigned coils;
-    coil_t *coil;        /* The first of its coils, */
-    unsigned first_coil; /* and its number among all of the rig. */
-    bool senses;         /* sensing is in use. */
+    coil_t *coil;                     /* The first of its coils, */
+    unsigned first_coil;              /* and its number among all of the rig. */
+    uint64_t sense_stream[RIG_COILS]; /* Streams of the noise of their current senses. */
+    bool senses;                      /* sensing is in use. */
     sensing_t sensing;
     bool leads;                           /* Its sync output is on the wire. */
     bool sync_cut;                        /* Fault: its sync input is not connected. */

@@ -36,17 +36,19 @@ static double impulse_shape(const ambient_t *ambient, double age_s) {
 static void add_impulses(const ambient_t *ambient, double time_s, double field_T[3]) {
     const double cell_s = fmin(ambient->impulse_decay_s, 0.1 / ambient->impulse_rate_Hz);
     const double chance = 1.0 - exp(-ambient->impulse_rate_Hz * cell_s);
-    const uint64_t when = noise_stream(NOISE_IMPULSE, 0, 0);
+    const uint64_t when = noise_stream(ambient->seed, NOISE_IMPULSE, 0, 0);
+    const uint64_t up = noise_stream(ambient->seed, NOISE_IMPULSE, 0, 1);
+    const uint64_t around = noise_stream(ambient->seed, NOISE_IMPULSE, 0, 2);
     const int64_t last = (int64_t)floor(time_s / cell_s);
     const double oldest = floor((time_s - decays_kept * ambient->impulse_decay_s) / cell_s);
     for (int64_t cell = oldest > 0.0 ? (int64_t)oldest : 0; cell <= last; ++cell) {
         const uint64_t counter = (uint64_t)cell;
-        const double draw = noise_uniform(ambient->seed, when, counter);
+        const double draw = noise_uniform(when, counter);
         const double age_s = time_s - ((double)cell + draw / chance) *
                                           cell_s; /* Given that it happens, draw/chance is uniform in the cell. */
         if (draw < chance && age_s >= 0.0) {
-            const double height = 2.0 * noise_uniform(ambient->seed, when + 1u, counter) - 1.0;
-            const double longitude = two_pi * noise_uniform(ambient->seed, when + 2u, counter);
+            const double height = 2.0 * noise_uniform(up, counter) - 1.0;
+            const double longitude = two_pi * noise_uniform(around, counter);
             const double level = sqrt(1.0 - height * height);
             const double size_T = ambient->impulse_T * impulse_shape(ambient, age_s);
             field_T[0] += size_T * level * cos(longitude);

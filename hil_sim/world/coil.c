@@ -330,7 +330,7 @@ coil_view_t coil_view(const coil_t *coil, uint64_t head, uint64_t guess, int64_t
     return view;
 }
 
-double coil_sense(coil_t *coil, uint64_t seed, uint64_t stream, int64_t time_ps) {
+double coil_sense(coil_t *coil, uint64_t stream, int64_t time_ps) {
     const bool warms = coil->config.thermal_resistance_K_per_W > 0.0;
     if (warms && elapsed_in(&coil->segments[coil->head % COIL_HISTORY], time_ps) > refresh_s) {
         begin_segment(coil, 0.0, time_ps);
@@ -339,7 +339,7 @@ double coil_sense(coil_t *coil, uint64_t seed, uint64_t stream, int64_t time_ps)
         return 0.0;
     }
     if (!coil->fault[COIL_SENSE_HELD]) {
-        const double noise = coil->config.sense_noise_V * noise_normal(seed, stream, (uint64_t)time_ps);
+        const double noise = coil->config.sense_noise_V * noise_normal(stream, (uint64_t)time_ps);
         coil->sense_V = sense_middle_V + coil->config.sense_V_per_A * coil_current(coil, time_ps) + noise;
     }
     return coil->sense_V;

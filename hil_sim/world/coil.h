@@ -150,7 +150,7 @@ double coil_second(const coil_t *coil, int64_t time_ps);
 
 /* Returns the volts at the sense output: 1.65 V + gain * current + noise; stream is the noise's (noise.h). A coil that
  * warms up takes its present resistance into account from here on, if it has not for 10 ms. */
-double coil_sense(coil_t *coil, uint64_t seed, uint64_t stream, int64_t time_ps);
+double coil_sense(coil_t *coil, uint64_t stream, int64_t time_ps);
 
 /* Returns the volts of the supply at the bridge at the present: with its load, and with the fly-back. */
 double coil_bus(const coil_t *coil, int64_t time_ps);

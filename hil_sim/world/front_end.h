@@ -15,7 +15,7 @@
  * Faults. front_end_break() makes an axis fail from its next conversion on: behind the amplifier, at the pin, or in the
  * converter itself, whose result the pin's voltage then stands for. front_end_fault_t says how.
  *
- * Times of one axis must not decrease. Time of a call: two normal numbers.
+ * Times of one axis must not decrease. Time of a call: a normal number, and one more for the first of a burst.
  */
 #ifndef GOLDFIELD_WORLD_FRONT_END_H
 #define GOLDFIELD_WORLD_FRONT_END_H
@@ -46,9 +46,10 @@ typedef enum {
 
 typedef struct {
     front_end_config_t config;
-    uint64_t seed;
-    unsigned board;
+    uint64_t chip_stream[3], converter_stream[3]; /* Those of the noise (noise.h). */
     int64_t burst_start_ps[3], last_ps[3];
+    double chip_noise[3]; /* That of the burst, as drawn at drawn_ps; -1: not yet. */
+    int64_t drawn_ps[3];
     front_end_fault_t fault[3];
     double value[3];  /* That of the fault. */
     double last_V[3]; /* Voltage of the last conversion. */

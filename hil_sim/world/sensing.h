@@ -16,7 +16,7 @@
  *
  * One thread uses a sensing_t; any number of them look at the same coils_t. Time of a call: at a new time one path, one
  * ambient field and a lagged current a coil; at the same time as before (the three axes are converted at once) nothing
- * of that; then two normal numbers.
+ * of that; then a normal number or two.
  */
 #ifndef GOLDFIELD_WORLD_SENSING_H
 #define GOLDFIELD_WORLD_SENSING_H

@@ -111,7 +111,7 @@ class CoilBoard(Board):
             channel = PIN_CURRENT.index(pin)
             coil = self.coils[channel]
             self.seen[channel].append((time, PLANT.coil_current(coil, time)))
-            return float(PLANT.coil_sense(coil, 1, channel, time))
+            return float(PLANT.coil_sense(coil, channel, time))
         if pin == PIN_SUPPLY:
             return float(PLANT.coil_bus(self.coils[0], time)) * 3.3 / 160.0
         if pin == PIN_DRIVER_TEMPERATURE:

@@ -171,7 +171,7 @@ def test_a_coil_held_at_the_supplys_end_loses_current_as_it_warms(lib):
     coil = make(lib, supply_V=1.2, thermal_resistance_K_per_W=2.0, heat_capacity_J_per_K=1.0)
     drive(library, coil, 1, 0)
     for k in range(1, 2000):
-        library.coil_sense(coil, 1, 1, k * 10**10 + 1)
+        library.coil_sense(coil, 1, k * 10**10 + 1)
     degC = library.coil_temperature(coil, 20 * PS)
     power = 1.2**2 / (R * (1.0 + 0.00393 * (degC - 20.0)))
     assert degC == pytest.approx(20.0 + 2.0 * power, rel=1e-3)
@@ -215,12 +215,12 @@ def test_a_held_sense_does_not_move(lib):
     _, library = lib
     coil = make(lib)
     drive(library, coil, 1, 0)
-    seen = library.coil_sense(coil, 1, 2, 90 * US)
+    seen = library.coil_sense(coil, 2, 90 * US)
     library.coil_fault(coil, library.COIL_SENSE_HELD, True, 95 * US)
     drive(library, coil, -1, 100 * US)
-    assert library.coil_sense(coil, 1, 2, 190 * US) == seen
+    assert library.coil_sense(coil, 2, 190 * US) == seen
     library.coil_fault(coil, library.COIL_SENSE_HELD, False, 200 * US)
-    assert library.coil_sense(coil, 1, 2, 290 * US) == pytest.approx(1.65 - 10.0 * 0.103125)
+    assert library.coil_sense(coil, 2, 290 * US) == pytest.approx(1.65 - 10.0 * 0.103125)
 
 
 @pytest.mark.parametrize(("degC", "volts"), [(25.0, 1.65), (0.0, 2.5436), (85.0, 0.3235)])
