@@ -5,19 +5,26 @@
 #include "rig/array.h"
 #include "world/noise.h"
 
-enum { PIN_FIELD_X = 1, PIN_SUPPLY = 32, PIN_DRIVER_TEMPERATURE = 34 };
+enum {
+    PIN_CURRENT_0 = 0,
+    PIN_FIELD_X = 1,
+    PIN_SUPPLY = 32,
+    PIN_TEMPERATURE_0 = 33,
+    PIN_DRIVER_TEMPERATURE = 34,
+    PIN_TEMPERATURE_1 = 35,
+    PIN_CURRENT_1 = 36
+};
 
 static const double supply_V_per_V = 3.3 / 160.0; /* Divider of the supply: 160 V is the converter's full scale. */
 static const double glowing_degC = 200.0;         /* Temperature of what the faults make hot. */
 static const double converter_V = 3.3;            /* What a thermistor that is not there leaves. */
 
 typedef struct {
-    unsigned bridge_1, bridge_2, current, temperature;
+    unsigned bridge_1, bridge_2;
 } channel_pins_t;
 
-static const channel_pins_t channel_pins[RIG_COILS] = {
-    {.bridge_1 = 29, .bridge_2 = 30, .current = 0, .temperature = 33},
-    {.bridge_1 = 16, .bridge_2 = 17, .current = 36, .temperature = 35}};
+static const channel_pins_t channel_pins[RIG_COILS] = {{.bridge_1 = 29, .bridge_2 = 30},
+                                                       {.bridge_1 = 16, .bridge_2 = 17}};
 
 static void keep_change(rig_pin_change_t **changes, size_t *count, size_t *capacity, rig_pin_change_t change) {
     *changes = array_reserve(*changes, capacity, *count + 1, sizeof **changes);
@@ -101,26 +108,48 @@ static void on_analog_out(void *context, unsigned channel, double volts, int64_t
     }
 }
 
+/* Returns the volts of a thermistor that is as warm as when it was last looked at, as a rule. */
+static double look_at(slot_thermistor_t *thermistor, double temperature_degC) {
+    if (thermistor->volts == 0.0 || thermistor->temperature_degC != temperature_degC) {
+        *thermistor = (slot_thermistor_t){temperature_degC, thermistor_volts(temperature_degC)};
+    }
+    return thermistor->volts;
+}
+
+static double channel_volts(board_slot_t *slot, unsigned channel, bool current, int64_t time_ps) {
+    if (channel >= slot->coils) {
+        return current || slot->coils == 0 ? 0.0 : converter_V;
+    }
+    coil_t *const coil = &slot->coil[channel];
+    if (current) {
+        return coil_sense(coil, slot->sense_stream[channel], time_ps);
+    }
+    return look_at(&slot->thermistor[channel],
+                   slot->coil_hot[channel] ? glowing_degC : coil_temperature(coil, time_ps));
+}
+
 static double on_analog_in(void *context, unsigned pin, int64_t time_ps) {
     board_slot_t *const slot = context;
-    if (slot->senses && pin >= PIN_FIELD_X && pin < PIN_FIELD_X + 3) {
-        return sensing_volts(&slot->sensing, pin - PIN_FIELD_X, time_ps);
+    switch (pin) {
+    case PIN_FIELD_X:
+    case PIN_FIELD_X + 1:
+    case PIN_FIELD_X + 2:
+        return slot->senses ? sensing_volts(&slot->sensing, pin - PIN_FIELD_X, time_ps) : 0.0;
+    case PIN_CURRENT_0:
+    case PIN_CURRENT_1:
+        return channel_volts(slot, pin == PIN_CURRENT_1, true, time_ps);
+    case PIN_TEMPERATURE_0:
+    case PIN_TEMPERATURE_1:
+        return channel_volts(slot, pin == PIN_TEMPERATURE_1, false, time_ps);
+    case PIN_SUPPLY:
+        return slot->coils > 0 ? supply_V_per_V * coil_bus(&slot->coil[0], time_ps) : 0.0;
+    case PIN_DRIVER_TEMPERATURE:
+        return slot->coils == 0 ? 0.0
+                                : look_at(&slot->thermistor[RIG_COILS],
+                                          slot->driver_hot ? glowing_degC : slot->coil[0].config.ambient_degC);
+    default:
+        return 0.0;
     }
-    for (unsigned i = 0; i < slot->coils; ++i) {
-        if (pin == channel_pins[i].current) {
-            return coil_sense(&slot->coil[i], slot->sense_stream[i], time_ps);
-        }
-        if (pin == channel_pins[i].temperature) {
-            return thermistor_volts(slot->coil_hot[i] ? glowing_degC : coil_temperature(&slot->coil[i], time_ps));
-        }
-    }
-    if (slot->coils > 0 && pin == PIN_SUPPLY) {
-        return supply_V_per_V * coil_bus(&slot->coil[0], time_ps);
-    }
-    if (slot->coils > 0 && pin == PIN_DRIVER_TEMPERATURE) {
-        return thermistor_volts(slot->driver_hot ? glowing_degC : slot->coil[0].config.ambient_degC);
-    }
-    return slot->coils > 0 && pin == channel_pins[1].temperature ? converter_V : 0.0;
 }
 
 static void on_uart_out(void *context, unsigned uart, uint8_t byte, int64_t time_ps) {

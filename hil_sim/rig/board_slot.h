@@ -38,6 +38,11 @@ typedef struct {
     int64_t time_ps;
 } board_slot_request_t;
 
+/* A thermistor as it was last looked at; 0 V: nobody has yet. */
+typedef struct {
+    double temperature_degC, volts;
+} slot_thermistor_t;
+
 typedef struct {
     unsigned number; /* The board's. */
     uint64_t seed;   /* The rig's. */
@@ -52,13 +57,14 @@ typedef struct {
     uint64_t sense_stream[RIG_COILS]; /* Streams of the noise of their current senses. */
     bool senses;                      /* sensing is in use. */
     sensing_t sensing;
-    bool leads;                           /* Its sync output is on the wire. */
-    bool sync_cut;                        /* Fault: its sync input is not connected. */
-    bool can_cut;                         /* Fault: it is not on the bus. */
-    bool coil_hot[RIG_COILS], driver_hot; /* Faults. */
-    bool pull_downs_lost;                 /* Fault: the pull-downs outside are not there. */
-    uint64_t levels, driven;              /* By pin: its level, and whether the board drives it. */
-    uint64_t releases;                    /* Pins that were let go of so far. */
+    bool leads;                                  /* Its sync output is on the wire. */
+    bool sync_cut;                               /* Fault: its sync input is not connected. */
+    bool can_cut;                                /* Fault: it is not on the bus. */
+    slot_thermistor_t thermistor[RIG_COILS + 1]; /* Those of the coils, then the driver's. */
+    bool coil_hot[RIG_COILS], driver_hot;        /* Faults. */
+    bool pull_downs_lost;                        /* Fault: the pull-downs outside are not there. */
+    uint64_t levels, driven;                     /* By pin: its level, and whether the board drives it. */
+    uint64_t releases;                           /* Pins that were let go of so far. */
     serial_line_t serial;
     board_slot_request_t *requests; /* Requests not yet handed to the bus, in order of time. */
     size_t request_count, request_capacity;

@@ -28,8 +28,8 @@ static void run_board(rig_t *rig, unsigned board, int64_t end_ps) {
     rig->stuck[board] = slot->status != BOARD_OK;
     for (unsigned i = 0; i < slot->coils; ++i) {
         coil_t *const coil = &slot->coil[i];
+        rig->latest[slot->first_coil + i] = coil_head(coil);
         rig->stuck[board] = rig->stuck[board] || coil->changes > COIL_CHANGES_MAX;
-        rig->latest[slot->first_coil + i] = coil->head;
         coil->changes = 0;
     }
     if (!slot->leads) {

@@ -1,6 +1,7 @@
 #include "world/coil.h"
 
 #include <math.h>
+#include <stddef.h>
 #include <string.h>
 
 #include "world/coil_law.h"
@@ -134,7 +135,8 @@ static void take_circuit(const coil_t *coil, coil_segment_t *segment) {
     }
 }
 
-double coil_temperature(const coil_t *coil, int64_t time_ps) {
+/* Returns the temperature of the copper, with no change waiting. */
+static double temperature_at(const coil_t *coil, int64_t time_ps) {
     const coil_config_t *const config = &coil->config;
     if (config->thermal_resistance_K_per_W <= 0.0) {
         return coil->temperature_degC;
@@ -172,8 +174,9 @@ static void keep_flux(const coil_t *coil, const coil_segment_t *before, const co
     }
 }
 
-/* Makes a segment the latest, or puts it in the latest's place. */
-static void keep_segment(coil_t *coil, const coil_segment_t *segment) {
+/* Sums up the latest segment. */
+static void sum_up(coil_t *coil) {
+    const coil_segment_t *const segment = &coil->segments[coil->head % COIL_HISTORY];
     const coil_piece_t *const last = &segment->piece[segment->count - 1u];
     coil->briefs[coil->head % COIL_HISTORY] = (coil_brief_t){
         .start_ps = segment->start_ps,
@@ -181,36 +184,61 @@ static void keep_segment(coil_t *coil, const coil_segment_t *segment) {
         .limit_A = last->limit_A,
         .rest_A = coil->config.lag_s > 0.0 ? last->lagged_A - last->limit_A : 0.0,
     };
-    coil->segments[coil->head % COIL_HISTORY] = *segment;
 }
 
 /* The inputs have changed: the current goes on from where it is. dead_s is how long the bridge is off because of it. */
 static void begin_segment(coil_t *coil, double dead_s, int64_t time_ps) {
     const coil_segment_t *const latest = &coil->segments[coil->head % COIL_HISTORY];
+    coil_segment_t *const next = &coil->segments[(coil->head + 1u) % COIL_HISTORY];
     const double elapsed = elapsed_in(latest, time_ps);
     const coil_piece_t *const piece = piece_at(latest, elapsed);
-    coil->temperature_degC = coil_temperature(coil, time_ps);
-    coil_segment_t next = {
-        .start_ps = latest->start_ps > time_ps ? latest->start_ps : time_ps,
-        .dead_s = fmax(dead_s, latest->dead_s - elapsed),
-        .piece[0].current_A = coil_law_current(piece, elapsed - piece->since_s),
-        .piece[0].second_A = coil_law_second(piece, elapsed - piece->since_s),
-        .piece[0].lagged_A = coil_law_lagged(latest, piece, coil->config.lag_s, elapsed - piece->since_s),
-    };
-    take_circuit(coil, &next);
-    keep_flux(coil, latest, &next, &next.piece[0]);
-    double since_s = 0.0;
-    if (next.dead_s > 0.0 && coil->enabled) {
-        go_to(coil, &next, 0.0, 0.0);
-        next.count -= next.count > 1 && next.piece[1].since_s >= next.dead_s;
-        since_s = next.dead_s;
+    const double age_s = elapsed - piece->since_s, before_degC = coil->temperature_degC;
+    coil->temperature_degC = temperature_at(coil, time_ps);
+    memcpy(next, latest, offsetof(coil_segment_t, piece)); /* The circuit is that before, as a rule. */
+    next->start_ps = latest->start_ps > time_ps ? latest->start_ps : time_ps;
+    next->dead_s = fmax(dead_s, latest->dead_s - elapsed);
+    next->count = 0;
+    next->piece[0].current_A = coil_law_current(piece, age_s);
+    next->piece[0].second_A = coil_law_second(piece, age_s);
+    next->piece[0].lagged_A = coil_law_lagged(latest, piece, coil->config.lag_s, age_s);
+    if (coil->other_circuit || coil->temperature_degC != before_degC) {
+        take_circuit(coil, next);
+        keep_flux(coil, latest, next, &next->piece[0]);
+        coil->other_circuit = false;
     }
-    go_to(coil, &next, since_s, coil->fault[COIL_OPEN] ? 0.0 : target(coil, &next));
-    if (next.start_ps != latest->start_ps) {
+    double since_s = 0.0;
+    if (next->dead_s > 0.0 && coil->enabled) {
+        go_to(coil, next, 0.0, 0.0);
+        next->count -= next->count > 1 && next->piece[1].since_s >= next->dead_s;
+        since_s = next->dead_s;
+    }
+    go_to(coil, next, since_s, coil->fault[COIL_OPEN] ? 0.0 : target(coil, next));
+    if (next->start_ps != latest->start_ps) {
         ++coil->head;
         ++coil->changes;
+    } else {
+        coil->segments[coil->head % COIL_HISTORY] = *next;
     }
-    keep_segment(coil, &next);
+    sum_up(coil);
+}
+
+/* Makes the segment that waits. */
+static void settle(coil_t *coil) {
+    if (coil->waits) {
+        coil->waits = false;
+        begin_segment(coil, coil->waits_dead_s, coil->waits_ps);
+    }
+}
+
+/* Something changes now. What changes at one moment makes one segment: it waits until time goes on or somebody looks.
+ */
+static void change(coil_t *coil, double dead_s, int64_t time_ps) {
+    if (coil->waits && coil->waits_ps != time_ps) {
+        settle(coil);
+    }
+    coil->waits_dead_s = coil->waits ? fmax(coil->waits_dead_s, dead_s) : dead_s;
+    coil->waits_ps = time_ps;
+    coil->waits = true;
 }
 
 /* ---- What drives it ---- */
@@ -222,24 +250,23 @@ void coil_init(coil_t *coil, const coil_config_t *config) {
         coil->config.lag_s = slow_s * (1.0 + 1e-6);
     }
     coil->sense_V = sense_middle_V;
-    coil_segment_t rest = {.start_ps = 0};
-    take_circuit(coil, &rest);
-    go_to(coil, &rest, 0.0, 0.0);
-    keep_segment(coil, &rest);
+    take_circuit(coil, &coil->segments[0]);
+    go_to(coil, &coil->segments[0], 0.0, 0.0);
+    sum_up(coil);
 }
 
 void coil_input(coil_t *coil, unsigned number, bool level, int64_t time_ps) {
     bool *const input = number == 1 ? &coil->input1 : &coil->input2;
     if (*input != level) {
+        change(coil, coil->config.dead_time_s, time_ps);
         *input = level;
-        begin_segment(coil, coil->config.dead_time_s, time_ps);
     }
 }
 
 void coil_enable(coil_t *coil, bool enabled, int64_t time_ps) {
     if (coil->enabled != enabled) {
+        change(coil, 0.0, time_ps);
         coil->enabled = enabled;
-        begin_segment(coil, 0.0, time_ps);
     }
 }
 
@@ -247,27 +274,30 @@ void coil_reference(coil_t *coil, double volts, int64_t time_ps) {
     const double offset_A = volts > 0.0 ? coil->config.reference_offset_A : 0.0;
     const double set_point_A = fmax(volts * coil->config.reference_A_per_V + offset_A, 0.0);
     if (coil->set_point_A != set_point_A) {
+        change(coil, 0.0, time_ps);
         coil->set_point_A = set_point_A;
-        begin_segment(coil, 0.0, time_ps);
     }
 }
 
 void coil_supply(coil_t *coil, double volts, int64_t time_ps) {
     if (coil->supply_V != volts) {
+        change(coil, 0.0, time_ps);
         coil->supply_V = volts;
-        begin_segment(coil, 0.0, time_ps);
+        coil->other_circuit = true;
     }
 }
 
 void coil_fault(coil_t *coil, coil_fault_t fault, bool active, int64_t time_ps) {
     if (coil->fault[fault] != active) {
+        change(coil, 0.0, time_ps);
         coil->fault[fault] = active;
-        begin_segment(coil, 0.0, time_ps);
+        coil->other_circuit = true;
     }
 }
 
 void coil_forget(coil_t *coil, int64_t before_ps) {
     enum { FEW = 4 }; /* Segments that are not worth it. */
+    settle(coil);
     if (coil->head < FEW) {
         return;
     }
@@ -282,14 +312,26 @@ void coil_forget(coil_t *coil, int64_t before_ps) {
 
 /* ---- What is seen of it ---- */
 
-double coil_current(const coil_t *coil, int64_t time_ps) {
+uint64_t coil_head(coil_t *coil) {
+    settle(coil);
+    return coil->head;
+}
+
+double coil_temperature(coil_t *coil, int64_t time_ps) {
+    settle(coil);
+    return temperature_at(coil, time_ps);
+}
+
+double coil_current(coil_t *coil, int64_t time_ps) {
+    settle(coil);
     const coil_segment_t *const segment = segment_at(coil, coil->head, time_ps);
     const double elapsed = elapsed_in(segment, time_ps);
     const coil_piece_t *const piece = piece_at(segment, elapsed);
     return coil_law_current(piece, elapsed - piece->since_s);
 }
 
-double coil_second(const coil_t *coil, int64_t time_ps) {
+double coil_second(coil_t *coil, int64_t time_ps) {
+    settle(coil);
     const coil_segment_t *const segment = segment_at(coil, coil->head, time_ps);
     const double elapsed = elapsed_in(segment, time_ps);
     const coil_piece_t *const piece = piece_at(segment, elapsed);
@@ -332,6 +374,7 @@ coil_view_t coil_view(const coil_t *coil, uint64_t head, uint64_t guess, int64_t
 
 double coil_sense(coil_t *coil, uint64_t stream, int64_t time_ps) {
     const bool warms = coil->config.thermal_resistance_K_per_W > 0.0;
+    settle(coil);
     if (warms && elapsed_in(&coil->segments[coil->head % COIL_HISTORY], time_ps) > refresh_s) {
         begin_segment(coil, 0.0, time_ps);
     }
@@ -345,7 +388,8 @@ double coil_sense(coil_t *coil, uint64_t stream, int64_t time_ps) {
     return coil->sense_V;
 }
 
-double coil_bus(const coil_t *coil, int64_t time_ps) {
+double coil_bus(coil_t *coil, int64_t time_ps) {
+    settle(coil);
     const coil_segment_t *const segment = &coil->segments[coil->head % COIL_HISTORY];
     const double elapsed = elapsed_in(segment, time_ps), source_Ohm = coil->config.source_Ohm;
     const coil_piece_t *const piece = piece_at(segment, elapsed);

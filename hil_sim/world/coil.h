@@ -33,7 +33,8 @@
  *
  * with R as of the last change of an input; thermal_resistance_K_per_W 0 keeps the coil at the ambient's.
  *
- * Each change of an input starts a segment of this form, so current and lagged current are exact at any time. The
+ * Each change of an input starts a segment of this form, so current and lagged current are exact at any time; changes
+ * at one moment start one, which is made when somebody looks at the coil as it is now (coil_head() and the like). The
  * lagged current is the current through a first-order low-pass of lag_s (the sensor's bandwidth), solved in the same
  * closed form.
  *
@@ -102,7 +103,11 @@ typedef struct {
     coil_config_t config;
     bool input1, input2, enabled;
     bool fault[COIL_FAULTS];
-    double supply_V; /* The supply's present voltage without load. */
+    bool other_circuit; /* Supply or faults have changed since the latest segment. */
+    bool waits;         /* Something has changed at waits_ps, and has no segment yet; */
+    int64_t waits_ps;
+    double waits_dead_s; /* the bridge is off for so long. */
+    double supply_V;     /* The supply's present voltage without load. */
     double set_point_A;
     double temperature_degC;           /* As of the latest segment's start. */
     double sense_V;                    /* What was last seen at the sense output. */
@@ -126,8 +131,12 @@ void coil_fault(coil_t *coil, coil_fault_t fault, bool active, int64_t time_ps);
  * memory. Segments get new numbers; nobody may look at the coil meanwhile. */
 void coil_forget(coil_t *coil, int64_t before_ps);
 
+/* Returns the number of the latest segment, which the looks below take: any that this function has told, and that are
+ * not forgotten. */
+uint64_t coil_head(coil_t *coil);
+
 /* Returns the current at a time, ampere, as seen from the present; times after the last change are included. */
-double coil_current(const coil_t *coil, int64_t time_ps);
+double coil_current(coil_t *coil, int64_t time_ps);
 
 /* Returns the lagged current at a time not before the history, ampere, looking no further than segment head; with
  * shorted turns that of the field. */
@@ -146,17 +155,17 @@ typedef struct {
 coil_view_t coil_view(const coil_t *coil, uint64_t head, uint64_t guess, int64_t time_ps);
 
 /* Returns the current in the shorted turns at a time, ampere, as coil_current does; 0 without them. */
-double coil_second(const coil_t *coil, int64_t time_ps);
+double coil_second(coil_t *coil, int64_t time_ps);
 
 /* Returns the volts at the sense output: 1.65 V + gain * current + noise; stream is the noise's (noise.h). A coil that
  * warms up takes its present resistance into account from here on, if it has not for 10 ms. */
 double coil_sense(coil_t *coil, uint64_t stream, int64_t time_ps);
 
 /* Returns the volts of the supply at the bridge at the present: with its load, and with the fly-back. */
-double coil_bus(const coil_t *coil, int64_t time_ps);
+double coil_bus(coil_t *coil, int64_t time_ps);
 
 /* Returns the temperature of the copper at the present, degC. */
-double coil_temperature(const coil_t *coil, int64_t time_ps);
+double coil_temperature(coil_t *coil, int64_t time_ps);
 
 /* Returns the volts of a thermistor (10 kOhm at 25 degC, B 3950) to ground below 10 kOhm to 3.3 V. */
 double thermistor_volts(double temperature_degC);

@@ -2,6 +2,8 @@
 
 #include <math.h>
 
+static const double gone_lags = 40.0; /* exp(-gone_lags) is below a quarter of the last bit of 1: it changes no sum. */
+
 double coil_law_current(const coil_piece_t *piece, double elapsed) {
     double current_A = piece->limit_A;
     for (unsigned m = 0; m < piece->modes; ++m) {
@@ -13,7 +15,8 @@ double coil_law_current(const coil_piece_t *piece, double elapsed) {
 double coil_law_second(const coil_piece_t *piece, double elapsed) {
     double current_A = 0.0;
     for (unsigned m = 0; m < piece->modes; ++m) {
-        current_A += piece->second_mode_A[m] * exp(-elapsed / piece->slow_s[m]);
+        const double mode_A = piece->second_mode_A[m];
+        current_A += mode_A != 0.0 ? mode_A * exp(-elapsed / piece->slow_s[m]) : 0.0;
     }
     return current_A;
 }
@@ -34,7 +37,8 @@ double coil_law_lagged(const coil_segment_t *segment, const coil_piece_t *piece,
         lagged_A += forced * exp(-elapsed / slow);
         rest -= forced;
     }
-    return lag > 0.0 ? lagged_A + rest * exp(-elapsed / lag) : lagged_A;
+    const bool gone = elapsed > gone_lags * lag && fabs(rest) <= fabs(lagged_A);
+    return lag > 0.0 && !gone ? lagged_A + rest * exp(-elapsed / lag) : lagged_A;
 }
 
 /* Returns the integral of the square of limit + sum of mode exp(-t / slow), A^2 s. */

@@ -90,8 +90,8 @@ static void look_at_coils(sensing_t *sensing, int64_t time_ps) {
         sensing->lagged_A[i] = view->limit_A + view->rest_A * decay;
         if (view->until_ps <= time_ps) {
             const bool own = i - sensing->own_first < sensing->own_count;
-            const coil_t *const coil = &coils->coil[i];
-            sensing->lagged_A[i] = coil_lagged(coil, own ? coil->head : coils->head[i], time_ps);
+            coil_t *const coil = &coils->coil[i];
+            sensing->lagged_A[i] = coil_lagged(coil, own ? coil_head(coil) : coils->head[i], time_ps);
         }
     }
 }

@@ -53,7 +53,7 @@ def test_chips_match_the_circuit(lib):
     times = np.arange(3.3e-6, 400e-6, 3.7e-6)
     expected = integrate(plan, 400e-6, times, inductance_H=L, resistance_Ohm=R, supply_V=V, lag_s=LAG)
     current = [library.coil_current(coil, round(t * PS)) for t in times]
-    lagged = [library.coil_lagged(coil, coil.head, round(t * PS)) for t in times]
+    lagged = [library.coil_lagged(coil, library.coil_head(coil), round(t * PS)) for t in times]
     np.testing.assert_allclose(current, expected[:, 0], atol=2e-7)
     np.testing.assert_allclose(lagged, expected[:, 1], atol=2e-6)
     assert abs(current[20]) == pytest.approx(10.0, abs=1e-12)  # held, not merely near
@@ -92,12 +92,12 @@ def test_a_query_of_the_past_sees_the_past(lib):
     library.coil_enable(coil, True, 0)
     for chip in range(100):
         drive(library, coil, 1 if chip % 2 else -1, chip * 100 * 10**6)
-    head = coil.head
+    head = library.coil_head(coil)
     past = [library.coil_lagged(coil, head, t * 10**6) for t in range(9000, 9900, 7)]
     for chip in range(100, 150):
         drive(library, coil, 1 if chip % 2 else -1, chip * 100 * 10**6)
-    assert coil.head > head
-    assert past == [library.coil_lagged(coil, coil.head, t * 10**6) for t in range(9000, 9900, 7)]
+    assert library.coil_head(coil) > head
+    assert past == [library.coil_lagged(coil, library.coil_head(coil), t * 10**6) for t in range(9000, 9900, 7)]
     assert past == [library.coil_lagged(coil, head, t * 10**6) for t in range(9000, 9900, 7)]
 
 
@@ -136,7 +136,7 @@ def test_equal_time_constants_are_no_trap(lib):
         library.coil_reference(coil, 3.3, 0)
         library.coil_enable(coil, True, 0)
         drive(library, coil, 1, 0)
-    values = [library.coil_lagged(equal, equal.head, t * 10**6) for t in range(0, 3000, 50)]
-    others = [library.coil_lagged(near, near.head, t * 10**6) for t in range(0, 3000, 50)]
+    values = [library.coil_lagged(equal, library.coil_head(equal), t * 10**6) for t in range(0, 3000, 50)]
+    others = [library.coil_lagged(near, library.coil_head(near), t * 10**6) for t in range(0, 3000, 50)]
     np.testing.assert_allclose(values, others, atol=0.02)
     assert all(a < b for a, b in pairwise(values))

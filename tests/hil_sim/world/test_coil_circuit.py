@@ -141,7 +141,7 @@ def test_dead_time_with_a_small_current_holds_zero_in_between(lib):
     assert library.coil_current(coil, 102 * US) == 0.0
     assert library.coil_current(coil, 104 * US) == pytest.approx(-0.3, abs=1e-12)
     library.coil_reference(coil, 0.4 * FULL_SCALE_V, 201 * US)
-    lagged = [library.coil_lagged(coil, coil.head, t * US) for t in range(210, 220)]
+    lagged = [library.coil_lagged(coil, library.coil_head(coil), t * US) for t in range(210, 220)]
     np.testing.assert_allclose(lagged, -0.4, atol=5e-4)
 
 

@@ -61,7 +61,7 @@ def loops(share, coupling):
 def looked_at(library, coil, times_s):
     looks = (library.coil_current, library.coil_second)
     found = [[look(coil, round(t * PS)) for t in times_s] for look in looks]
-    found.append([library.coil_lagged(coil, coil.head, round(t * PS)) for t in times_s])
+    found.append([library.coil_lagged(coil, library.coil_head(coil), round(t * PS)) for t in times_s])
     return np.array(found)
 
 
@@ -162,7 +162,7 @@ def test_a_held_current_makes_the_field_of_the_turns_that_are_left(lib, share, c
     drive(library, coil, 1, 0)
     assert library.coil_current(coil, PS) == 10.0
     assert library.coil_second(coil, PS) == pytest.approx(0.0, abs=1e-9)
-    assert library.coil_lagged(coil, coil.head, PS) == pytest.approx(10.0 * (1.0 - share), rel=1e-12)
+    assert library.coil_lagged(coil, library.coil_head(coil), PS) == pytest.approx(10.0 * (1.0 - share), rel=1e-12)
 
 
 def test_a_short_that_comes_and_goes_keeps_the_flux(lib):
@@ -174,7 +174,7 @@ def test_a_short_that_comes_and_goes_keeps_the_flux(lib):
     drive(library, coil, 1, 2 * US)
     library.coil_fault(coil, library.COIL_SHORTED, True, 100 * US)
     assert library.coil_second(coil, 100 * US) == 10.0
-    assert library.coil_lagged(coil, coil.head, 100 * US) == pytest.approx(10.0)
+    assert library.coil_lagged(coil, library.coil_head(coil), 100 * US) == pytest.approx(10.0)
     inductances, ohms = loops(share, coupling)
     second = 10.0 * np.exp(-200e-6 * ohms[1] / inductances[1, 1])
     assert library.coil_second(coil, 300 * US) == pytest.approx(second, rel=1e-9)
