@@ -30,6 +30,8 @@ TOLERANCE = 1e-5
 MARGIN = 4.0
 """The error is looked at in the middle of the intervals, where it is largest on a smooth path; the rest is margin."""
 FEWEST_KNOTS, MOST_INTERVALS = 9, 16384
+ON_WIRE = 1e-12
+"""A place nearer than so many radii to a loop's wire is on it, whatever rounding makes of its coordinates."""
 FIELDS_AT_ONCE = 16384
 """Positions times coils of one call of magpylib: more do not stay in a processor's cache, fewer spend it on calls."""
 NO_FIELD = 1e-12
@@ -94,7 +96,7 @@ def fields_per_ampere(coils: Sequence[Source], positions_m: FloatArray) -> Float
 
 
 def _loops_field(loops: Sequence[CoilGeometry], positions_m: FloatArray) -> FloatArray:
-    """Return B of one ampere in each of several circular loops, shape (n, loops, 3), tesla.
+    """Return B of one ampere in each of several circular loops, shape (n, loops, 3), tesla; not finite on a wire.
 
     magpylib's formula knows loops around the z axis alone, and gives cylindrical components there.
     """
@@ -105,10 +107,12 @@ def _loops_field(loops: Sequence[CoilGeometry], positions_m: FloatArray) -> Floa
     radius = np.linalg.norm(across, axis=2)
     turns = np.broadcast_to([loop.turns for loop in loops], radius.shape)
     size = np.broadcast_to([float(loop.radius_m or 0.0) for loop in loops], radius.shape)
-    with np.errstate(divide="ignore", invalid="ignore"):  # on a wire: the caller looks for what is not finite
-        radial, _, axial = current_circle_Hfield(size.ravel(), radius.ravel(), along.ravel(), turns.ravel())
+    on_wire = np.hypot(radius - size, along) < ON_WIRE * size
+    elsewhere = np.where(on_wire, 0.0, radius)  # the formula finds no end on a wire
+    radial, _, axial = current_circle_Hfield(size.ravel(), elsewhere.ravel(), along.ravel(), turns.ravel())
     outward = across / np.maximum(radius, np.finfo(float).tiny)[..., None]
     field = radial.reshape(radius.shape)[..., None] * outward + axial.reshape(radius.shape)[..., None] * axis
+    field[on_wire] = np.nan
     return np.asarray(magpylib.mu_0 * field)
 
 

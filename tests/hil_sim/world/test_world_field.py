@@ -114,6 +114,11 @@ def test_line_turns_in_the_sites_frame():
     np.testing.assert_allclose(rotation.apply([0.0, 1.0, 0.0])[0], [0.0, 0.0, 1.0], atol=1e-12)
 
 
-def test_through_the_wire_is_an_error():
+@pytest.mark.parametrize("place", [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.3, -7.1, 2.9]])
+@pytest.mark.parametrize("angle", np.linspace(0.0, 6.0, 7))
+def test_through_the_wire_is_an_error(place, angle):
+    """Wherever the coil is: its place added and taken off rounds."""
+    on_wire = place + 0.149 * np.array([np.cos(angle), np.sin(angle), 0.0])
     with pytest.raises(path.PathError, match="through a coil's wire"):
-        path.compute([loop()], Still(np.array([0.149, 0.0, 0.0]), ORIGIN), 0.0, 1.0)
+        path.compute([loop(position=place)], Still(on_wire, ORIGIN), 0.0, 1.0)
+    path.compute([loop(position=place)], Still(on_wire + 1e-6 * UP, ORIGIN), 0.0, 1.0)
