@@ -28,7 +28,8 @@ static void run_board(rig_t *rig, unsigned board, int64_t end_ps) {
     rig->stuck[board] = slot->status != BOARD_OK;
     for (unsigned i = 0; i < slot->coils; ++i) {
         coil_t *const coil = &slot->coil[i];
-        rig->latest[slot->first_coil + i] = coil_head(coil);
+        const uint64_t head = coil_head(coil);
+        rig->latest[slot->first_coil + i] = (coil_head_t){.number = head, .made = coil->made};
         rig->stuck[board] = rig->stuck[board] || coil->changes > COIL_CHANGES_MAX;
         coil->changes = 0;
     }

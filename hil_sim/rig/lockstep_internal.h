@@ -31,7 +31,7 @@ struct rig {
     unsigned loose_count;
     int64_t loose_ps;
     unsigned boards_a_task; /* Boards of a task of the pool. */
-    uint64_t *latest;       /* Heads of all coils at the end of the step. */
+    coil_head_t *latest;    /* Heads of all coils at the end of the step. */
     coils_t coils;          /* Those of all boards. */
     int64_t now_ps;
     can_bus_t *bus;

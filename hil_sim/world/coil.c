@@ -10,9 +10,6 @@
 static const double sense_middle_V = 1.65;
 static const double copper_per_K = 0.00393, copper_degC = 20.0;
 static const double refresh_s = 0.01; /* A segment of a coil that warms up is not looked at for longer. */
-
-/* For coil_view(): exp(-gone_lags) is below gone_share, and last_bit is a quarter of the last bit of 1. */
-static const double gone_lags = 56.0, gone_share = 0x1p-80, last_bit = 0x1p-54;
 static const double small_share = 0x1p-40;
 
 static double seconds(int64_t time_ps) {
@@ -213,6 +210,7 @@ static void begin_segment(coil_t *coil, double dead_s, int64_t time_ps) {
         since_s = next->dead_s;
     }
     go_to(coil, next, since_s, coil->fault[COIL_OPEN] ? 0.0 : target(coil, next));
+    ++coil->made;
     if (next->start_ps != latest->start_ps) {
         ++coil->head;
         ++coil->changes;
@@ -363,8 +361,7 @@ coil_view_t coil_view(const coil_t *coil, uint64_t head, uint64_t guess, int64_t
     if (!(age_s >= 0.0)) {
         return view;
     }
-    /* A rest that is smaller than half of the limit's last bit by far changes nothing. */
-    const bool gone = age_s > gone_lags * lag_s && fabs(brief->rest_A) * gone_share < fabs(brief->limit_A) * last_bit;
+    const bool gone = age_s > COIL_GONE_LAGS * lag_s && fabs(brief->rest_A) <= fabs(brief->limit_A);
     view.rest_A = brief->rest_A == 0.0 || gone ? 0.0 : brief->rest_A * exp(-age_s / lag_s);
     if (fabs(view.rest_A) <= small_share * fabs(brief->limit_A)) {
         view.until_ps = number == head ? INT64_MAX : coil->briefs[(number + 1) % COIL_HISTORY].start_ps;

@@ -112,6 +112,7 @@ typedef struct {
     double temperature_degC;           /* As of the latest segment's start. */
     double sense_V;                    /* What was last seen at the sense output. */
     uint64_t head;                     /* Number of the latest segment. */
+    uint64_t made;                     /* Segments that were made so far. */
     unsigned changes;                  /* Segments since it was last set to 0. */
     coil_brief_t briefs[COIL_HISTORY]; /* What the segments end with. */
     coil_segment_t segments[COIL_HISTORY];
@@ -143,7 +144,8 @@ double coil_current(coil_t *coil, int64_t time_ps);
 double coil_lagged(const coil_t *coil, uint64_t head, int64_t time_ps);
 
 /* A view of the lagged current from a time t on: limit_A + rest_A exp(-(time - t) / lag) until until_ps, with the rest
- * below a millionth of a millionth of the limit. If it has another form, until_ps is t. number is the segment's. */
+ * below a millionth of a millionth of the limit, and 0 if it changes no bit of the sum. If the current has another
+ * form, until_ps is t. number is the segment's; INT64_MAX as the end says that it was the head. */
 typedef struct {
     double limit_A, rest_A;
     int64_t until_ps;

@@ -2,8 +2,6 @@
 
 #include <math.h>
 
-static const double gone_lags = 40.0; /* exp(-gone_lags) is below a quarter of the last bit of 1: it changes no sum. */
-
 double coil_law_current(const coil_piece_t *piece, double elapsed) {
     double current_A = piece->limit_A;
     for (unsigned m = 0; m < piece->modes; ++m) {
@@ -37,7 +35,7 @@ double coil_law_lagged(const coil_segment_t *segment, const coil_piece_t *piece,
         lagged_A += forced * exp(-elapsed / slow);
         rest -= forced;
     }
-    const bool gone = elapsed > gone_lags * lag && fabs(rest) <= fabs(lagged_A);
+    const bool gone = elapsed > COIL_GONE_LAGS * lag && fabs(rest) <= fabs(lagged_A);
     return lag > 0.0 && !gone ? lagged_A + rest * exp(-elapsed / lag) : lagged_A;
 }
 

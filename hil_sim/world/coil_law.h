@@ -15,6 +15,8 @@
 
 #define COIL_MODES 2 /* Most time constants of a current: shorted turns have a second. */
 
+#define COIL_GONE_LAGS 40.0 /* exp(-this) is below a tenth of the last bit of 1: added to 1 it changes nothing. */
+
 /* One law of the currents, in force between two ages of its segment: limit + sum of mode exp(-t / slow). */
 typedef struct {
     double since_s, until_s;

@@ -11,12 +11,14 @@
  * further than coils_t.head, which changes only while no board runs, and beyond that the coil's law goes on as if its
  * inputs stayed (coil.h). The coils of the sensor's own board are seen as they are.
  *
- * Bursts of conversions come close together: what a coil does meanwhile is looked up at the first (coil_view()), and
- * again when coils_t.shown has changed.
+ * Bursts of conversions come close together, and within one the currents of nearly all coils have the same form
+ * (coil_view()). So their sum is taken once, at the first conversion, as a cubic of vectors, and again when
+ * coils_t.shown has changed or the form of a current ends; a coil is looked up if it has done something since. Coils
+ * whose currents have another form, as amid an edge, are added one by one.
  *
- * One thread uses a sensing_t; any number of them look at the same coils_t. Time of a call: at a new time one path, one
- * ambient field and a lagged current a coil; at the same time as before (the three axes are converted at once) nothing
- * of that; then a normal number or two.
+ * One thread uses a sensing_t; any number of them look at the same coils_t. Time of a call: in a new burst a cubic a
+ * coil; at a new time one cubic and one ambient field; at the same time as before (the three axes are converted at
+ * once) nothing of that; then a normal number or two.
  */
 #ifndef GOLDFIELD_WORLD_SENSING_H
 #define GOLDFIELD_WORLD_SENSING_H
@@ -28,12 +30,17 @@
 #include "world/front_end.h"
 #include "world/path.h"
 
+/* What others may see of a coil: the number of its latest segment, and how many were made up to that. */
+typedef struct {
+    uint64_t number, made;
+} coil_head_t;
+
 /* All coils of a rig, in the order of the path's columns. */
 typedef struct {
     unsigned count;
     coil_t *coil;
-    uint64_t *head; /* Latest segment of each coil that others may see. */
-    uint64_t shown; /* Counts up when heads change, or coils do on which no board runs. */
+    coil_head_t *head; /* One a coil. */
+    uint64_t shown;    /* Counts up when heads change, or coils do on which no board runs. */
 } coils_t;
 
 /* Three components and a zero, which the processor takes together. */
@@ -46,13 +53,17 @@ typedef struct {
     front_end_t front_end;
     path_t path; /* Without coefficients. */
     sensing_four_t
-        *coefficients;        /* An interval's after the other's: the cubics of the coils, then those of the rest. */
-    double *lagged_A;         /* Scratch: the lagged current of each coil. */
-    coil_view_t *view;        /* Views of the coils, */
-    uint64_t view_shown;      /* of what was shown then, */
-    int64_t view_ps, look_ps; /* from this time on, and the latest look at them. */
-    double view_lag_s;        /* The lag of those that have a rest. */
-    int64_t field_time_ps;    /* The time that field_T belongs to. */
+        *coefficients; /* An interval's after the other's: the cubics of the coils, then those of the rest. */
+    coil_view_t *view; /* Views of the coils, each made when so many segments were; */
+    uint64_t *view_made;
+    double *limit_A;                          /* where their currents tend to, 0 for the others. */
+    unsigned *other, others;                  /* Coils whose currents have another form. */
+    sensing_four_t limit_sum[4], rest_sum[4]; /* Sums of the cubics times limits, and times rests, */
+    size_t sum_interval;                      /* in this interval of the path, */
+    uint64_t sum_shown;                       /* of what was shown then, */
+    int64_t sum_ps, sum_until_ps, look_ps;    /* from a time to another; and the latest look at them. */
+    double sum_lag_s;                         /* The lag of those that have a rest. */
+    int64_t field_time_ps;                    /* The time that field_T belongs to. */
     double field_T[3];
 } sensing_t;
 
