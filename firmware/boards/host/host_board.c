@@ -24,16 +24,6 @@ struct board {
     tracking_t tracking;
 };
 
-/* ---- Time ---- */
-
-__extension__ typedef unsigned __int128 wide_t;
-
-static int64_t time_of(const hal_t *hal, int64_t tick) {
-    const wide_t product = (wide_t)(uint64_t)tick * hal->tick_q32;
-    /* Rounded up, so that host_tick() gives the same tick back. */
-    return hal->power_on_ps + (int64_t)((product + 0xFFFFFFFFu) >> 32);
-}
-
 /* ---- Serial ---- */
 
 static void byte_sent(hal_t *hal) {
@@ -256,7 +246,8 @@ typedef enum { NEXT_ENGINE, NEXT_BYTE, NEXT_INPUT, NEXT_IDLE, NEXT_WATCHDOG } ne
 typedef struct {
     next_t what;
     int64_t time_ps;
-    int64_t tick; /* What the board's own clock times has one. */
+    int64_t tick;   /* What the board's own clock times has one. */
+    int64_t others; /* Nothing but the engine's has an event before this tick. */
 } event_t;
 
 /* Tells what comes next and when. At equal times the order is that of next_t: chips first, so that an edge at a chip's
@@ -271,10 +262,12 @@ static event_t next_event(const hal_t *hal) {
     if (transmitter->count > 0 && transmitter->byte_end <= next.tick) {
         next = (event_t){.what = NEXT_BYTE, .tick = transmitter->byte_end};
     }
+    next.others = next.tick;
     if (engine->running && engine->next_tick <= next.tick) {
-        next = (event_t){.what = NEXT_ENGINE, .tick = engine->next_tick};
+        next.what = NEXT_ENGINE;
+        next.tick = engine->next_tick;
     }
-    next.time_ps = time_of(hal, next.tick);
+    next.time_ps = host_time(hal, next.tick);
     if (hal->inputs_count > 0) {
         const int64_t input_ps = hal->inputs[hal->inputs_head].time_ps;
         if (input_ps < next.time_ps || (input_ps == next.time_ps && next.what > NEXT_INPUT)) {
@@ -286,24 +279,27 @@ static event_t next_event(const hal_t *hal) {
 
 /* The present goes on to an event, unless it is there already. */
 static void go_to(hal_t *hal, const event_t *next) {
-    if (next->time_ps >= hal->now_ps) {
-        hal->now_ps = next->time_ps;
-        if (next->what != NEXT_INPUT) {
-            hal->tick_ps = next->time_ps;
-            hal->tick = next->tick;
-        }
-    }
-    if (hal->tick_ps != hal->now_ps) {
+    if (next->what != NEXT_INPUT) {
+        host_go_to(hal, next->tick);
+    } else {
+        hal->now_ps = next->time_ps > hal->now_ps ? next->time_ps : hal->now_ps;
         hal->tick = host_tick(hal);
         hal->tick_ps = hal->now_ps;
     }
 }
 
-static void happen(board_t *board, next_t what) {
+/* Returns the last tick up to which the engine alone has something to do, before a time. */
+static int64_t engines_own(const hal_t *hal, const event_t *next, int64_t until_ps) {
+    const int64_t input_ps = hal->inputs_count > 0 ? hal->inputs[hal->inputs_head].time_ps : INT64_MAX;
+    const int64_t last = host_tick_at(hal, input_ps < until_ps ? input_ps : until_ps - 1);
+    return last < next->others ? last : next->others;
+}
+
+static void happen(board_t *board, const event_t *next, int64_t until_ps) {
     hal_t *hal = &board->hal;
-    switch (what) {
+    switch (next->what) {
     case NEXT_ENGINE:
-        host_engine_event(hal);
+        host_engine_run(hal, engines_own(hal, next, until_ps));
         break;
     case NEXT_BYTE:
         byte_sent(hal);
@@ -342,7 +338,7 @@ static board_status_t board_run(board_t *board, int64_t until_ps) {
             break;
         }
         go_to(hal, &next);
-        happen(board, next.what);
+        happen(board, &next, until_ps);
     }
     if (hal->now_ps < until_ps) {
         hal->now_ps = until_ps;
@@ -372,7 +368,7 @@ static board_ahead_t board_ahead(const board_t *board) {
     const int64_t sent = transmitter->byte_end + (int64_t)(transmitter->count - 1u) * SERIAL_BYTE_TICKS;
     int64_t tick = block < hal->idle_tick ? block : hal->idle_tick;
     tick = transmitter->count > 0 && sent < tick ? sent : tick;
-    ahead.asks_ps = time_of(hal, tick);
+    ahead.asks_ps = host_time(hal, tick);
     if (hal->inputs_count > 0 && hal->inputs[hal->inputs_head].time_ps < ahead.asks_ps) {
         ahead.asks_ps = hal->inputs[hal->inputs_head].time_ps;
     }

@@ -44,16 +44,8 @@ static uint32_t planned_period(const engine_t *engine) {
 /* A chip's events have numbers. 0 is the start of the very first chip; then, where there are coils, come the sampling
  * of their currents and the end of that conversion for each look at them (an anchor has none behind the edge); then a
  * sensor's eight samplings (an anchor has both); the last is the start of the next chip. */
-static uint32_t first_look(const engine_t *engine) {
+static look_t first_look(const engine_t *engine) {
     return engine->role == HAL_ROLE_BEACON ? LOOK_EDGE : LOOK_MIDDLE;
-}
-
-static uint32_t current_events(const engine_t *engine) {
-    return hal_role_drives(engine->role) ? 2u * (LOOKS - first_look(engine)) : 0u;
-}
-
-static uint32_t last_event(const engine_t *engine) {
-    return 1u + current_events(engine) + (hal_role_samples(engine->role) ? HAL_BURST : 0u);
 }
 
 /* Returns which look an event is of. */
@@ -66,27 +58,26 @@ static bool samples_currents(uint32_t event) {
     return (event & 1u) != 0u;
 }
 
-/* Returns the tick of the next event. */
-static int64_t next_tick(const engine_t *engine) {
-    const int64_t end = engine->chip_start + planned_period(engine);
-    if (engine->event == last_event(engine)) {
-        return end;
+/* Writes when the events of the chip under way are. */
+static void lay_out_chip(engine_t *engine) {
+    enum { CONVERTING = CONVERSION_TICKS - SAMPLE_TICKS };
+    const bool samples = hal_role_samples(engine->role);
+    const uint32_t end = planned_period(engine), converted = end - BURST_MARGIN_TICKS;
+    const uint32_t measured = samples ? converted - (HAL_BURST + 1u) * CONVERSION_TICKS : converted;
+    uint32_t event = 1;
+    for (look_t look = first_look(engine); hal_role_drives(engine->role) && look < LOOKS; look++) {
+        const uint32_t told = look == LOOK_EDGE     ? EDGE_TICKS + CONVERTING
+                              : look == LOOK_MIDDLE ? measured - MIDDLE_TICKS
+                                                    : measured;
+        engine->after[event++] = told - CONVERTING;
+        engine->after[event++] = told;
     }
-    const int64_t converted = end - BURST_MARGIN_TICKS;
-    /* The samplings of the burst that are to come, this one included. */
-    const int64_t to_come = (int64_t)last_event(engine) - engine->event;
-    if (engine->event > current_events(engine)) {
-        return converted - to_come * CONVERSION_TICKS + SAMPLE_TICKS;
+    engine->current_events = event - 1u;
+    for (uint32_t to_come = HAL_BURST; samples && to_come > 0u; to_come--) {
+        engine->after[event++] = converted - to_come * CONVERSION_TICKS + SAMPLE_TICKS;
     }
-    const look_t look = look_of(engine, engine->event);
-    const bool sampled = samples_currents(engine->event);
-    if (look == LOOK_EDGE) {
-        return engine->chip_start + EDGE_TICKS + (sampled ? 0 : CONVERSION_TICKS - SAMPLE_TICKS);
-    }
-    const int64_t last = hal_role_samples(engine->role) ? converted - (int64_t)(HAL_BURST + 1) * CONVERSION_TICKS
-                                                        : converted;
-    const int64_t measured = look == LOOK_END ? last : last - MIDDLE_TICKS;
-    return sampled ? measured - CONVERSION_TICKS + SAMPLE_TICKS : measured;
+    engine->last_event = event;
+    engine->after[event] = end;
 }
 
 int64_t host_engine_change(const engine_t *engine) {
@@ -169,16 +160,17 @@ static void tell_currents(hal_t *hal, look_t look) {
 
 static void take_event(hal_t *hal, uint32_t event) {
     engine_t *engine = &hal->engine;
-    if (event == 0 || event == last_event(engine)) {
+    if (event == 0 || event == engine->last_event) {
         if (event > 0) {
             next_chip(engine);
             check_stale(hal);
         }
         engine->event = 1;
         start_chip(hal);
-    } else if (event > current_events(engine)) {
+        lay_out_chip(engine);
+    } else if (event > engine->current_events) {
         for (unsigned axis = 0; axis < HAL_AXES; axis++) {
-            engine->samples[engine->chip_in_block][event - current_events(engine) - 1][axis] = convert(
+            engine->samples[engine->chip_in_block][event - engine->current_events - 1][axis] = convert(
                 hal, PIN_FIELD_X + axis);
         }
     } else if (hal->failed[HOST_FAILURE_CURRENT_STOPS]) {
@@ -190,9 +182,14 @@ static void take_event(hal_t *hal, uint32_t event) {
     }
 }
 
-void host_engine_event(hal_t *hal) {
-    take_event(hal, hal->engine.event++);
-    hal->engine.next_tick = next_tick(&hal->engine);
+void host_engine_run(hal_t *hal, int64_t last_tick) {
+    engine_t *engine = &hal->engine;
+    const uint32_t waiting = hal->transmitter.count;
+    do {
+        host_go_to(hal, engine->next_tick);
+        take_event(hal, engine->event++);
+        engine->next_tick = engine->chip_start + engine->after[engine->event];
+    } while (engine->next_tick <= last_tick && !hal->awake && !hal->dead && hal->transmitter.count == waiting);
 }
 
 void host_engine_sync(hal_t *hal) {

@@ -5,13 +5,19 @@
 
 /* ---- What the files above need as well ---- */
 
-__extension__ typedef unsigned __int128 wide_t;
-
 int64_t host_tick(const hal_t *hal) {
-    if (hal->now_ps == hal->tick_ps) {
-        return hal->tick;
+    return hal->now_ps == hal->tick_ps ? hal->tick : host_tick_at(hal, hal->now_ps);
+}
+
+void host_go_to(hal_t *hal, int64_t tick) {
+    const int64_t time_ps = host_time(hal, tick);
+    if (time_ps >= hal->now_ps) {
+        hal->now_ps = hal->tick_ps = time_ps;
+        hal->tick = tick;
+    } else if (hal->tick_ps != hal->now_ps) {
+        hal->tick = host_tick(hal);
+        hal->tick_ps = hal->now_ps;
     }
-    return (int64_t)(((wide_t)(uint64_t)(hal->now_ps - hal->power_on_ps) << 32) / hal->tick_q32);
 }
 
 void host_pin_write(hal_t *hal, unsigned pin, bool level) {
@@ -27,9 +33,14 @@ void host_pin_write(hal_t *hal, unsigned pin, bool level) {
 
 void host_bridges_write(hal_t *hal) {
     static const unsigned bridges[HAL_CHANNELS] = {PIN_BRIDGE_0, PIN_BRIDGE_1};
-    const engine_t *engine = &hal->engine;
+    enum { TOLD = 1u << 2 * HAL_DRIVE_BITS, INPUTS = TOLD - 1u };
+    engine_t *engine = &hal->engine;
     const bool on = engine->running && hal->pin_out[PIN_ENABLE];
-    const uint32_t drive = on ? engine->plan[engine->block & 1].drive[engine->chip_in_block] : 0u;
+    const uint32_t drive = on ? engine->plan[engine->block & 1].drive[engine->chip_in_block] & (uint32_t)INPUTS : 0u;
+    if (engine->bridges == (drive | (uint32_t)TOLD)) {
+        return;
+    }
+    engine->bridges = drive | (uint32_t)TOLD;
     for (unsigned channel = 0; channel < HAL_CHANNELS; channel++) {
         const uint32_t bridge = drive >> HAL_DRIVE_BITS * channel & 3u;
         host_pin_write(hal, bridges[channel], bridge == HAL_DRIVE_POSITIVE);

@@ -63,18 +63,26 @@ typedef struct {
     hal_frame_t frame;
 } input_t;
 
+/* Most events of a chip: three looks at the currents of two events each, a sensor's samplings, the next chip's start.
+ */
+#define CHIP_EVENTS (2 * 3 + HAL_BURST + 1)
+
 /* The chip engine. It goes through the events of a chip in order: its conversions, then its end. */
 typedef struct {
     bool running;
     hal_role_t role;
     hal_events_t events;
-    hal_plan_t plan[2];               /* Plans of the block under way and of the next, by parity of the block. */
-    uint32_t block;                   /* The block under way. */
-    uint32_t chip;                    /* The chip under way, counted since hal_chips_start(). */
-    uint32_t chip_in_block;           /* Its place in the block. */
-    int64_t chip_start;               /* The tick at which it began. */
-    uint32_t event;                   /* The next event within the chip: host_engine.c numbers them, */
-    int64_t next_tick;                /* and its tick. */
+    hal_plan_t plan[2];              /* Plans of the block under way and of the next, by parity of the block. */
+    uint32_t block;                  /* The block under way. */
+    uint32_t chip;                   /* The chip under way, counted since hal_chips_start(). */
+    uint32_t chip_in_block;          /* Its place in the block. */
+    int64_t chip_start;              /* The tick at which it began. */
+    uint32_t event;                  /* The next event within the chip: host_engine.c numbers them, */
+    int64_t next_tick;               /* and its tick. */
+    uint32_t current_events;         /* How many events of the chip are looks at the currents. */
+    uint32_t last_event;             /* The number of its last. */
+    uint32_t after[CHIP_EVENTS + 1]; /* When each is, ticks after the chip's start. */
+    uint32_t bridges; /* The bridges' inputs that the outside has been told; 0: none since the engine began. */
     uint16_t current[HAL_CHANNELS];   /* The conversions of the currents that end shortly. */
     hal_monitor_t monitor;            /* What is measured together with them. */
     uint32_t unmeasured;              /* Chips without such a conversion while the drive is on. */
@@ -127,8 +135,24 @@ struct hal {
     size_t inputs_head, inputs_count, inputs_capacity;
 };
 
+__extension__ typedef unsigned __int128 wide_t;
+
+/* Returns the tick under way at a time, since power-on; the time is not before that. */
+static inline int64_t host_tick_at(const hal_t *hal, int64_t time_ps) {
+    return (int64_t)(((wide_t)(uint64_t)(time_ps - hal->power_on_ps) << 32) / hal->tick_q32);
+}
+
+/* Returns the time of a tick, rounded up, so that host_tick_at() gives the tick back. */
+static inline int64_t host_time(const hal_t *hal, int64_t tick) {
+    const wide_t product = (wide_t)(uint64_t)tick * hal->tick_q32;
+    return hal->power_on_ps + (int64_t)((product + 0xFFFFFFFFu) >> 32);
+}
+
 /* Returns the present in ticks of the board's clock since power-on. */
 int64_t host_tick(const hal_t *hal);
+
+/* The present goes on to a tick, unless it is there already. */
+void host_go_to(hal_t *hal, int64_t tick);
 
 /* Set an output, and tell the outside if its level changes. */
 void host_pin_write(hal_t *hal, unsigned pin, bool level);
@@ -139,8 +163,9 @@ void host_bridges_write(hal_t *hal);
 /* Returns the tick of the next chip that begins a block or changes the sync output. */
 int64_t host_engine_change(const engine_t *engine);
 
-/* Let the engine's next event happen. */
-void host_engine_event(hal_t *hal);
+/* Let the engine's events happen one after the other, up to a tick, or until the main loop or the serial line has
+ * something to do. */
+void host_engine_run(hal_t *hal, int64_t last_tick);
 
 /* The sync input has risen: tell the application, if the engine runs. */
 void host_engine_sync(hal_t *hal);
