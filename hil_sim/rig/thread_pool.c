@@ -5,7 +5,7 @@
 #include <stdlib.h>
 #include <time.h>
 
-enum { SPINS_BEFORE_YIELD = 2000, BLOCKS_BEFORE_TRYING_AGAIN = 16 };
+enum { SPINS_BEFORE_YIELD = 2000, YIELDS_BEFORE_SLEEP = 10, BLOCKS_BEFORE_TRYING_AGAIN = 16 };
 
 /* Do one task if one is offered. A number is only taken while its step is open: the step cannot end before that
  * number is done. */
@@ -19,24 +19,39 @@ static bool do_a_task(thread_pool_t *pool) {
     return true;
 }
 
+static bool has_tasks(thread_pool_t *pool) {
+    return atomic_load(&pool->taken) < atomic_load(&pool->offered);
+}
+
+/* Sleeps until there are tasks to help with. Returns false if the helper is to end. Who offers tasks looks for sleepers
+ * afterwards, and a sleeper for tasks after it is one: one of the two sees the other. */
+static bool sleep_long(thread_pool_t *pool) {
+    (void)pthread_mutex_lock(&pool->mutex);
+    (void)atomic_fetch_add(&pool->asleep, 1);
+    while (!pool->quit && !(pool->running && has_tasks(pool))) {
+        (void)pthread_cond_wait(&pool->wake, &pool->mutex);
+    }
+    (void)atomic_fetch_sub(&pool->asleep, 1);
+    const bool goes_on = !pool->quit;
+    (void)pthread_mutex_unlock(&pool->mutex);
+    return goes_on;
+}
+
 static void *helper(void *context) {
     thread_pool_t *const pool = context;
-    unsigned spins = 0;
+    unsigned spins = 0, yields = 0;
     for (;;) {
         if (do_a_task(pool)) {
-            spins = 0;
+            spins = yields = 0;
         } else if (++spins >= SPINS_BEFORE_YIELD) {
             spins = 0;
-            (void)pthread_mutex_lock(&pool->mutex);
-            while (!pool->running && !pool->quit) {
-                (void)pthread_cond_wait(&pool->wake, &pool->mutex);
-            }
-            const bool quit = pool->quit;
-            (void)pthread_mutex_unlock(&pool->mutex);
-            if (quit) {
-                return NULL;
-            }
             (void)sched_yield();
+            if (++yields >= YIELDS_BEFORE_SLEEP) {
+                yields = 0;
+                if (!sleep_long(pool)) {
+                    return NULL;
+                }
+            }
         }
     }
 }
@@ -57,7 +72,8 @@ static double wall_clock(void) {
 
 static void choose_help(thread_pool_t *pool) {
     double *const cost_s = &pool->cost_s[pool->helped];
-    *cost_s = *cost_s > 0.0 ? 0.5 * (*cost_s + pool->block_s) : pool->block_s;
+    const double step_s = pool->block_s / pool->block_steps;
+    *cost_s = *cost_s > 0.0 ? 0.5 * (*cost_s + step_s) : step_s;
     pool->block_s = 0.0;
     pool->block_steps = 0;
     pool->helped = pool->cost_s[1] < pool->cost_s[0];
@@ -102,6 +118,9 @@ void thread_pool_begin(thread_pool_t *pool) {
 void thread_pool_step(thread_pool_t *pool) {
     const uint_fast64_t end = atomic_load(&pool->offered) + pool->tasks;
     atomic_store(&pool->offered, end);
+    if (pool->helped && atomic_load(&pool->asleep) > 0) {
+        set(pool, true, false);
+    }
     unsigned spins = 0;
     while (atomic_load(&pool->done) < end) {
         if (!do_a_task(pool) && ++spins >= SPINS_BEFORE_YIELD) {
@@ -109,7 +128,8 @@ void thread_pool_step(thread_pool_t *pool) {
             (void)sched_yield();
         }
     }
-    if (++pool->block_steps == THREAD_POOL_BLOCK_STEPS) {
+    const bool long_block = pool->block_s + wall_clock() - pool->begun_s > THREAD_POOL_BLOCK_S;
+    if (++pool->block_steps == THREAD_POOL_BLOCK_STEPS || long_block) {
         thread_pool_end(pool);
         choose_help(pool);
         thread_pool_begin(pool);

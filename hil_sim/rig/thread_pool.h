@@ -3,12 +3,14 @@
  * thread_pool_init() starts the helpers; then any number of blocks of steps: thread_pool_begin(), thread_pool_step()
  * again and again, thread_pool_end(). thread_pool_free() ends the helpers.
  *
- * A step does tasks 0 .. tasks - 1, each once, in any order and on any thread. Steps are short (tens of microseconds),
- * so helpers look for tasks without sleeping between thread_pool_begin() and thread_pool_end(), and sleep outside.
+ * A step does tasks 0 .. tasks - 1, each once, in any order and on any thread. Steps may be short (tens of
+ * microseconds), so between thread_pool_begin() and thread_pool_end() helpers look for tasks for a tenth of a
+ * millisecond before they sleep.
  *
  * Helpers help only where that is faster: on a busy machine a helper that holds a task and is not scheduled keeps
- * everybody waiting. The pool measures blocks of THREAD_POOL_BLOCK_STEPS steps with and without help, goes on with what
- * is faster, and tries the other way now and then. What the tasks compute must not depend on it.
+ * everybody waiting. The pool measures blocks of THREAD_POOL_BLOCK_STEPS steps, or fewer long ones, with and without
+ * help, goes on with what is faster, and tries the other way now and then. What the tasks compute must not depend on
+ * it.
  *
  * One thread owns a pool. Memory: a few words and the threads.
  */
@@ -22,6 +24,7 @@
 
 /* Steps in a block: 0.1 s of steps of 20 us, the length of a code cycle, so that blocks are alike. */
 #define THREAD_POOL_BLOCK_STEPS 5000
+#define THREAD_POOL_BLOCK_S     0.5 /* A block ends when it has lasted so long, of however few steps. */
 
 typedef void thread_pool_task_t(void *context, unsigned number);
 
@@ -36,10 +39,11 @@ typedef struct {
     bool running;     /* Helpers look for tasks without sleeping. */
     bool quit;        /* Helpers end. */
     bool helped;      /* Helpers help in the block of steps that runs now. */
-    double cost_s[2]; /* Duration of a block without and with help, smoothed; 0: not known yet. */
+    double cost_s[2]; /* Duration of a step without and with help, smoothed; 0: not known yet. */
     double begun_s;   /* When the block, or the part of it since thread_pool_begin(), began. */
     double block_s;   /* Duration of the block's parts before that. */
     unsigned block_steps, blocks;
+    atomic_uint asleep; /* Helpers that sleep or are about to. */
     /* Tasks are handed out by number: 0, 1, 2, ... for ever; number n is task n % tasks. */
     atomic_uint_fast64_t offered, taken, done;
 } thread_pool_t;
