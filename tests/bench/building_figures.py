@@ -29,7 +29,7 @@ from goldfield.sensor import dialogue as dialogues
 from goldfield.sensor import session as sessions
 from goldfield.sensor.options import Options
 from goldfield.sensor.pipeline import Sensor
-from goldfield.types import FloatArray, Pose
+from goldfield.types import FloatArray, Pose, Status
 from hil_sim.clib import ROOT
 from hil_sim.rig import Rig
 from hil_sim.scenario import load_scenario, site_toml
@@ -138,6 +138,15 @@ def walked(beacons: int, metres: float, height_m: float, bus: bool, directory: P
     return found, boot_s
 
 
+def refused(found: Walked) -> dict[tuple[str, str], list[int]]:
+    """Return the epochs, counted from the first pose, whose poses are not ``ok``, by status and reason."""
+    epochs: dict[tuple[str, str], list[int]] = {}
+    for number, (pose, _) in enumerate(found.poses):
+        if pose.status is not Status.OK:
+            epochs.setdefault((str(pose.status), pose.reason), []).append(number)
+    return epochs
+
+
 def show(found: Walked, boot_s: float, height_m: float) -> None:
     """Print the figures."""
     status = Counter(str(pose.status) for pose, _ in found.poses)
@@ -153,6 +162,8 @@ def show(found: Walked, boot_s: float, height_m: float) -> None:
     gaps = sum(max(0, b.epoch - a.epoch - 1) for (a, _), (b, _) in pairwise(found.poses))
     everyone = len({name for _, names in found.poses for name in names})
     print(f"ceiling at {height_m} m: {total} epochs, {gaps} missing: {dict(status)}")
+    for (told, reason), epochs in refused(found).items():
+        print(f"        {told} at {', '.join(map(str, epochs))}: {reason}")
     print(
         f"error: median {np.median(error):.1f} mm, 95 % {np.quantile(error, 0.95):.1f} mm, worst {error.max():.1f} mm"
     )
