@@ -44,27 +44,27 @@ typedef struct {
 } slot_thermistor_t;
 
 typedef struct {
-    unsigned number; /* The board's. */
-    uint64_t seed;   /* The rig's. */
-    int64_t lead_ps; /* How far the board runs ahead of the rig's present. */
+    unsigned number;       /* The board's. */
+    board_status_t status; /* What its last step returned. */
+    uint64_t seed;         /* The rig's. */
+    int64_t lead_ps;       /* How far the board runs ahead of the rig's present. */
     board_edge_t edge;
     board_t *instance;
     const board_operations_t *operations;
-    board_status_t status; /* What its last step returned. */
-    unsigned coils;
-    coil_t *coil;                     /* The first of its coils, */
-    unsigned first_coil;              /* and its number among all of the rig. */
-    uint64_t sense_stream[RIG_COILS]; /* Streams of the noise of their current senses. */
-    bool senses;                      /* sensing is in use. */
-    sensing_t sensing;
-    bool leads;                                  /* Its sync output is on the wire. */
-    bool sync_cut;                               /* Fault: its sync input is not connected. */
-    bool can_cut;                                /* Fault: it is not on the bus. */
+    unsigned coils;                              /* How many coils it has, */
+    unsigned first_coil;                         /* the number of the first among all of the rig, */
+    coil_t *coil;                                /* and the first itself. */
+    uint64_t sense_stream[RIG_COILS];            /* Noise of their current senses. */
     slot_thermistor_t thermistor[RIG_COILS + 1]; /* Those of the coils, then the driver's. */
-    bool coil_hot[RIG_COILS], driver_hot;        /* Faults. */
-    bool pull_downs_lost;                        /* Fault: the pull-downs outside are not there. */
-    uint64_t levels, driven;                     /* By pin: its level, and whether the board drives it. */
-    uint64_t releases;                           /* Pins that were let go of so far. */
+    sensing_t sensing;
+    bool senses;                          /* sensing is in use. */
+    bool leads;                           /* Its sync output is on the wire. */
+    bool sync_cut;                        /* Fault: its sync input is not connected. */
+    bool can_cut;                         /* Fault: it is not on the bus. */
+    bool coil_hot[RIG_COILS], driver_hot; /* Faults. */
+    bool pull_downs_lost;                 /* Fault: the pull-downs outside are not there. */
+    uint64_t levels, driven;              /* By pin: its level, and whether the board drives it. */
+    uint64_t releases;                    /* Pins that were let go of so far. */
     serial_line_t serial;
     board_slot_request_t *requests; /* Requests not yet handed to the bus, in order of time. */
     size_t request_count, request_capacity;
