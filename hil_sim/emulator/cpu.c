@@ -12,6 +12,7 @@
 #include "emulator/protection.h"
 #include "emulator/system_control.h"
 #include "emulator/systick.h"
+#include "emulator/upsets.h"
 
 /* ---- Running ---- */
 
@@ -211,6 +212,7 @@ void cpu_destroy(cpu_t *cpu) {
         uc_close(cpu->uc);
     }
     cycles_free(&cpu->cycles);
+    upsets_free(cpu);
     free(cpu->report);
     free(cpu);
 }

@@ -9,6 +9,7 @@
 #include "emulator/peripherals/outside.h"
 #include "emulator/peripherals/peripherals.h"
 #include "emulator/probes.h"
+#include "emulator/upsets.h"
 
 #define REPORT_SIZE (MACHINE_REPORT_SIZE + 1024u)
 
@@ -184,4 +185,33 @@ bool emulator_probe_read(const board_t *board, unsigned index, emulator_probe_t 
     *probe = (emulator_probe_t){
         .entry = own->entry, .calls = own->calls, .total = own->total, .largest = own->largest, .cycles = own->cycles};
     return true;
+}
+
+bool emulator_skip(board_t *board, uint32_t address, uint64_t nth) {
+    return upsets_skip(cpu_of(board), address, nth);
+}
+
+bool emulator_flip(board_t *board, uint32_t address, uint64_t nth, unsigned index, uint32_t mask) {
+    return upsets_flip(cpu_of(board), address, nth, index, mask);
+}
+
+bool emulator_struck(const board_t *board) {
+    return upsets_struck(cpu_of(board));
+}
+
+bool emulator_flip_memory(board_t *board, uint32_t address, uint8_t mask) {
+    uint8_t *const byte = machine_memory((machine_t *)board, address, 1);
+    if (byte == NULL || machine_in_flash(address)) {
+        return false;
+    }
+    *byte ^= mask;
+    return true;
+}
+
+bool emulator_visits_begin(board_t *board, uint32_t from, uint32_t to) {
+    return upsets_visits_begin(cpu_of(board), from, to);
+}
+
+size_t emulator_visits(const board_t *board, int64_t *first_ps, size_t count) {
+    return upsets_visits(cpu_of(board), first_ps, count);
 }

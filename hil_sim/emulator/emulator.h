@@ -84,4 +84,27 @@ uint32_t emulator_register(const board_t *board, unsigned index);
 /* Memory as the core sees it. Returns false, and copies nothing, if it does not all lie in one memory. */
 bool emulator_memory_read(const board_t *board, uint32_t address, uint8_t *bytes, size_t count);
 
+/* Upsets: what a glitch of the supply or a particle does. One of these at a time is awaited; none costs anything while
+ * nobody asks for it.
+ *
+ * An upset strikes in the nth execution from now on (1: the next) of an instruction in flash. Where the instruction
+ * lies in an IT block the executions of the block count, the conditions that fail too, and a register flips at its
+ * beginning. Returns false if there is no such instruction or register, or if one that is skipped is just running. */
+
+/* Skip the instruction at an address once: a NOP of its length runs in its place. */
+bool emulator_skip(board_t *board, uint32_t address, uint64_t nth);
+/* Flip the bits of mask in a register just before the instruction: r0..r15 (of r15 not bit 0, which it does not have),
+ * or the flags N, Z, C, V and Q of xpsr (16). */
+bool emulator_flip(board_t *board, uint32_t address, uint64_t nth, unsigned index, uint32_t mask);
+/* Returns whether the upset that was asked for last has struck. */
+bool emulator_struck(const board_t *board);
+/* Flip the bits of mask in a byte of RAM, now. Returns false if there is none. */
+bool emulator_flip_memory(board_t *board, uint32_t address, uint8_t mask);
+
+/* Note from now on when each instruction from one address to another, both even, has begun first. Returns false if
+ * there is no memory. */
+bool emulator_visits_begin(board_t *board, uint32_t from, uint32_t to);
+/* Write these times for at most so many of its halfwords, -1 where no instruction has begun. Returns how many. */
+size_t emulator_visits(const board_t *board, int64_t *first_ps, size_t count);
+
 #endif

@@ -280,6 +280,7 @@ class Emulator:
         self.board = int(ffi.cast("uintptr_t", self._board))
         self.operations = int(ffi.cast("uintptr_t", self._operations))
         self._probes: list[str] = []
+        self._visits = range(0)
         if cells is not None:
             self._library.emulator_cells_restore(self._board, cells)
         else:
@@ -402,6 +403,61 @@ class Emulator:
         if not self._library.emulator_memory_read(self._board, address, buffer, count):
             raise ValueError(f"no memory holds {count} bytes at 0x{address:08x}")
         return bytes(buffer)
+
+    def skip(self, address: int, nth: int = 1) -> None:
+        """Skip the instruction at an address of the flash once, in its nth execution from now on (``emulator.h``).
+
+        Raises
+        ------
+        ValueError
+            There is no such instruction, or one that is skipped is just running.
+        """
+        if not self._library.emulator_skip(self._board, address, nth):
+            raise ValueError(f"no instruction at 0x{address:08x} can be skipped")
+
+    def flip(self, address: int, register: int, mask: int, nth: int = 1) -> None:
+        """Flip bits of a register, r0 to r15 or the flags (16), before the nth execution of an instruction.
+
+        Raises
+        ------
+        ValueError
+            There is no such instruction or register, or one that is skipped is just running.
+        """
+        if not self._library.emulator_flip(self._board, address, nth, register, mask):
+            raise ValueError(f"no bits 0x{mask:08x} of register {register} can be flipped at 0x{address:08x}")
+
+    def struck(self) -> bool:
+        """Whether the skip or flip that was asked for last has come."""
+        return bool(self._library.emulator_struck(self._board))
+
+    def flip_memory(self, address: int, mask: int) -> None:
+        """Flip bits of a byte of RAM, now.
+
+        Raises
+        ------
+        ValueError
+            There is no RAM.
+        """
+        if not self._library.emulator_flip_memory(self._board, address, mask):
+            raise ValueError(f"no memory is at 0x{address:08x}")
+
+    def begin_visits(self, start: int, stop: int) -> None:
+        """Note from now on when each instruction of the flash from one address to another has begun first.
+
+        Raises
+        ------
+        ValueError
+            These are no even addresses in their order, or there is no memory.
+        """
+        if not self._library.emulator_visits_begin(self._board, start, stop):
+            raise ValueError(f"no visits can be noted from 0x{start:08x} to 0x{stop:08x}")
+        self._visits = range(start, stop, 2)
+
+    def visits(self) -> dict[int, int]:
+        """Return when the instructions that have run began first, ps, by address."""
+        times = self._ffi.new("int64_t[]", len(self._visits))
+        self._library.emulator_visits(self._board, times, len(self._visits))
+        return {address: time for address, time in zip(self._visits, times, strict=True) if time >= 0}
 
     def close(self) -> None:
         """End the board, and keep its flash if it has a file; `board` is void then.

@@ -3,7 +3,7 @@
  * From the bottom up: nvic.h (which exception comes first), mpu.h (which access is allowed), code_view.h (the program
  * as bytes), probes.h (instruction counts), exceptions.h (entry, return, faults), systick.h and system_control.h (the
  * core's own registers), protection.h (what is forbidden), core_bus.h (what lies at which address), flash_wait.h (what
- * a busy flash holds up), execution.h (Unicorn), cpu.h (life, reset and the run of a processor).
+ * a busy flash holds up), upsets.h (glitches), execution.h (Unicorn), cpu.h (life, reset and the run of a processor).
  *
  * Time. executed counts instructions, cpu_work() what they cost (cycles.h), skipped the cycles asleep; the instruction
  * about to run starts at cycle work + skipped. An instruction whose condition fails inside an IT block costs nothing
@@ -100,6 +100,7 @@ typedef struct {
 } flash_view_t;
 
 typedef struct cpu cpu_t;
+typedef struct upsets upsets_t; /* upsets.c */
 
 typedef struct {
     cpu_t *cpu;
@@ -160,7 +161,8 @@ struct cpu {
 
     bus_window_t windows[3];
     uc_hook code_hook, interrupt_hook, memory_hook, alignment_hook, probe_hooks[PROBES];
-    char *report; /* Text of the last report (emulator.c). */
+    upsets_t *upsets; /* NULL: nobody has asked for any. */
+    char *report;     /* Text of the last report (emulator.c). */
 };
 
 /* A register by Unicorn's name (UC_ARM_REG_...), as of now. A call into Unicorn: tens of nanoseconds. */
