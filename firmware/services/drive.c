@@ -229,11 +229,11 @@ static void apply_settings(drive_t *drive) {
                     hal_clock(drive->node->hal) == HAL_CLOCK_CRYSTAL;
 }
 
-/* Somebody asks to clear what is latched: node.h has seen to it that it is not in vain. */
+/* Somebody asks to clear what is latched: node.h has seen to it that it is not in vain. A current that is in a fault
+ * tells its cause at every look: it is configured anew before the latch forgets it. */
 static void clear(drive_t *drive) {
-    if (latch_clear(&drive->latch, hal_microseconds(drive->node->hal))) {
-        apply_settings(drive);
-    }
+    apply_settings(drive);
+    (void)latch_clear(&drive->latch, hal_microseconds(drive->node->hal));
 }
 
 node_state_t drive_state(const drive_t *drive) {

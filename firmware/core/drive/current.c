@@ -243,6 +243,7 @@ static bool take_driven(current_t *current, uint32_t asked, bool negative, int32
 /* The bridge is about to go off. */
 static cause_t fail(current_t *current, cause_t cause) {
     current->reference = 0;
+    current->cause = (uint8_t)cause;
     set_state(current, CURRENT_FAULT);
     return cause;
 }
@@ -253,7 +254,7 @@ static uint32_t size_of(int16_t set_point) {
 
 cause_t current_edge(current_t *current, int16_t set_point, uint16_t count) {
     if (current->state == CURRENT_FAULT) {
-        return CAUSE_NONE;
+        return (cause_t)current->cause;
     }
     const cause_t cause = guard_edge(&current->guard, size_of(set_point), (int32_t)count - CURRENT_MID_SCALE);
     return cause != CAUSE_NONE ? fail(current, cause) : CAUSE_NONE;
@@ -274,7 +275,7 @@ cause_t current_sample(current_t *current, bool driven, int16_t set_point, uint1
     const uint32_t asked = size_of(set_point);
     const cause_t cause = guard_sample(&current->guard, asked, came); /* In a fault, too: its mean square goes on. */
     if (current->state == CURRENT_FAULT) {
-        return CAUSE_NONE;
+        return (cause_t)current->cause;
     }
     if (cause != CAUSE_NONE) {
         return fail(current, cause);

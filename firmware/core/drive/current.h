@@ -112,6 +112,7 @@ typedef struct {
     uint16_t open_above;      /* Largest set-point with which the coil may be open, counts. */
     uint32_t open_share;      /* The open_fraction, 16 fractional bits. */
     uint8_t short_blocks;     /* Blocks for which headroom_lost is still told. */
+    uint8_t cause;            /* A cause_t: why, in CURRENT_FAULT. */
     volatile bool fell_short; /* In this block; the planner sets it, too. */
 } current_t;
 
@@ -135,11 +136,12 @@ int16_t current_set_point(current_t *current, int32_t level);
 /* Take a measurement, once a chip. driven tells whether the bridge is on and the chip's level is not 0; set_point is
  * what was asked, in counts with the bridge's sign, -4095..4095, 0 if not driven. count is the sense's. Costs about 120
  * instructions, once in CURRENT_BLOCK_CHIPS about 410. Returns CAUSE_NONE, or why the bridge must be switched off at
- * once; CAUSE_NONE in CURRENT_FAULT. */
+ * once; in CURRENT_FAULT its cause, at each look again, so that a bridge that has missed it once goes off all the
+ * same. */
 cause_t current_sample(current_t *current, bool driven, int16_t set_point, uint16_t count);
 
 /* Take a measurement behind a chip's beginning, where the current may still be that of the chip before. set_point is 0
- * if the chip is not driven. Costs about 35 instructions. Returns what guard_edge does. */
+ * if the chip is not driven. Costs about 35 instructions. Returns what guard_edge does; in CURRENT_FAULT its cause. */
 cause_t current_edge(current_t *current, int16_t set_point, uint16_t count);
 
 /* Take a measurement amid a chip. start is the one before it: behind the chip's beginning, or at the end of the chip
