@@ -38,18 +38,18 @@ static void open_link(access_link_t *link, uint64_t now_us) {
 bool access_granted(access_t *access, uint32_t link) {
     access_link_t *const own = &access->link[link];
     const uint64_t now_us = hal_microseconds(access->hal);
-    if (!access_keyed(access)) {
-        open_link(own, now_us);
-    }
     own->open = own->open && now_us - own->idle_us < ACCESS_IDLE_US && now_us - own->open_us < ACCESS_LONGEST_US;
     own->idle_us = now_us;
-    return own->open;
+    return own->open || !access_keyed(access);
 }
 
 void access_rekeyed(access_t *access, uint32_t link) {
     for (uint32_t i = 0; i < ACCESS_LINKS; i++) {
         access->link[i].open = access->link[i].open && i == link;
         access->link[i].asked = false;
+    }
+    if (!access->link[link].open) { /* The board had no key before. */
+        open_link(&access->link[link], hal_microseconds(access->hal));
     }
 }
 

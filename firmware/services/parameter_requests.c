@@ -33,9 +33,13 @@ void parameter_requests_set(node_t *node, node_links_t link, uint32_t index, con
     } else if (set.kind == PARAMETER_FLOAT) {
         memcpy(&value.bits, &set.value_float, sizeof value.bits);
     }
-    const parameter_status_t status = access_granted(&node->access, node_link_index(link))
-                                          ? parameters_set(&node->parameters, index, value)
-                                          : PARAMETER_LOCKED;
+    parameter_status_t status = PARAMETER_LOCKED;
+    if (access_granted(&node->access, node_link_index(link))) {
+        /* Asked twice: one instruction that goes wrong does not unlock the board. */
+        if (access_granted(&node->access, node_link_index(link))) {
+            status = parameters_set(&node->parameters, index, value);
+        }
+    }
     answer_parameter(node, link, index, status);
     if (status == PARAMETER_OK) {
         if (access_secret(index)) {

@@ -135,7 +135,7 @@ static void begin_save(node_t *node, node_links_t link, bool named, bool may_pau
     if (node->saving != NODE_NO_LINK && named) {
         return;
     }
-    if (!named || node->resetting || update_holds(&node->update)) {
+    if (!named || node->resetting || update_holds(&node->update) || !parameters_intact(&node->parameters)) {
         answer_command(node, link, COMMAND_SAVE, GOLDFIELD_COMMAND_ANSWER_STATUS_REFUSED_CHOICE);
     } else if (node->drive_on && !may_pause) {
         answer_command(node, link, COMMAND_SAVE, GOLDFIELD_COMMAND_ANSWER_STATUS_COIL_ON_CHOICE);
@@ -223,12 +223,13 @@ static bool concerns(const node_t *node, uint32_t group) {
     return group == 0 || group == ALL_GROUPS || group == parameters_unsigned(&node->parameters, PARAMETER_GROUP);
 }
 
-/* The commands below return whether they are carried out; a refusal changes nothing. */
+/* The commands below return whether they are carried out; a refusal changes nothing. What changes a parameter asks
+ * again whether the board is unlocked: one instruction that goes wrong on the way here does not open it. */
 
-static bool start(node_t *node, bool named, uint32_t group) {
+static bool start(node_t *node, node_links_t link, bool named, uint32_t group) {
     const bool commissioned = node->role != HAL_ROLE_SENSOR &&
                               parameters_float(&node->parameters, PARAMETER_AMPLITUDE) > 0.0f;
-    if (!commissioned || (group == 0 && !named)) {
+    if (!commissioned || (group == 0 && !named) || !access_granted(&node->access, node_link_index(link))) {
         return false;
     }
     set_unsigned(node, PARAMETER_ARMED, 1);
@@ -254,7 +255,7 @@ static bool sign(node_t *node, bool named, uint32_t seconds) {
     return true;
 }
 
-static bool carry_out(node_t *node, uint32_t index, uint32_t argument, bool named) {
+static bool carry_out(node_t *node, node_links_t link, uint32_t index, uint32_t argument, bool named) {
     switch (index) {
     case COMMAND_BLINK:
         blink(node, argument);
@@ -268,7 +269,7 @@ static bool carry_out(node_t *node, uint32_t index, uint32_t argument, bool name
         node->clear_wanted |= named && !node->clear_refused;
         return named && !node->clear_refused;
     case COMMAND_START:
-        return start(node, named, argument);
+        return start(node, link, named, argument);
     case COMMAND_STOP:
         return stop(node);
     case COMMAND_SIGNATURE:
@@ -337,11 +338,12 @@ static void take_command(node_t *node, node_links_t link, uint32_t index, const 
         access_lock(&node->access, node_link_index(link));
         status = GOLDFIELD_COMMAND_ANSWER_STATUS_OK_CHOICE;
     } else if (index <= COMMAND_NUMBER) {
-        status = carry_out(node, index, command.argument, named) ? GOLDFIELD_COMMAND_ANSWER_STATUS_OK_CHOICE
-                                                                 : GOLDFIELD_COMMAND_ANSWER_STATUS_REFUSED_CHOICE;
+        status = carry_out(node, link, index, command.argument, named) ? GOLDFIELD_COMMAND_ANSWER_STATUS_OK_CHOICE
+                                                                       : GOLDFIELD_COMMAND_ANSWER_STATUS_REFUSED_CHOICE;
     }
     answer_command(node, link, index, status);
-    if (index == COMMAND_NUMBER && status == GOLDFIELD_COMMAND_ANSWER_STATUS_OK_CHOICE) {
+    if (index == COMMAND_NUMBER && status == GOLDFIELD_COMMAND_ANSWER_STATUS_OK_CHOICE &&
+        access_granted(&node->access, node_link_index(link))) {
         set_unsigned(node, PARAMETER_NODE, command.argument);
         node->id = command.argument;
     }

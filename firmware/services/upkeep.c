@@ -178,6 +178,9 @@ void upkeep_step(node_t *node) {
     const uint64_t now_us = hal_microseconds(node->hal);
     if (now_us - node->heartbeat_us >= NODE_HEARTBEAT_US) {
         node->heartbeat_us += NODE_HEARTBEAT_US;
+        if (!parameters_intact(&node->parameters)) {
+            hal_reset(node->hal); /* Nobody has set what is in force: it starts anew, and tells that. */
+        }
         send_heartbeat(node);
     }
     node_drain(node, now_us);

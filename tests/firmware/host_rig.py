@@ -84,6 +84,8 @@ class Board:
         How many cycles an instruction takes there, or ``m4``.
     strict : bool
         A violation of what the chip's manual allows stops an emulated board.
+    stop_at_fault : bool
+        So does a fault of the processor; else its handler is entered.
     cells : bytes, optional
         The flash of an emulated board that had no power (`Emulator.cells`), in place of image and page.
     """
@@ -100,6 +102,7 @@ class Board:
     emulated: bool = False
     cycles: float | str = 1.0
     strict: bool = True
+    stop_at_fault: bool = True
     cells: bytes | None = None
 
     pins: list[tuple[int, int, bool]] = field(default_factory=list)
@@ -118,6 +121,7 @@ class Board:
                 unique_id=self.unique_id,
                 temperature_degc=self.temperature,
                 strict=self.strict,
+                stop_at_fault=self.stop_at_fault,
             )
             image = ROOT / "build/firmware" / IMAGES[self.role]
             address = int(FFI.cast("uintptr_t", edge))

@@ -10,7 +10,7 @@
 #define OFFSET_SHARE    0.1f     /* Largest offset, of the amplitude. */
 #define ONE             65536.0f /* The factor 1 with 16 fractional bits. */
 #define FINE            16       /* Parts of a count in which set-points are planned. */
-#define SHORT_COUNTS    6        /* A chip may be so much short, counts of sense, */
+#define SHORT_COUNTS    6        /* A chip may be so much off what is expected, counts of sense, */
 #define SHORT_SHIFT     6        /* and 1/64; */
 #define LEFT_OUT_SHIFT  3        /* short by 1/8 more it does not count. */
 #define SHORT_AMPLITUDE 0.995f   /* Share of the target below which headroom is lost. */
@@ -72,7 +72,7 @@ void current_start(current_t *current) {
     current->target_A = 0.0f;
     current->chips = 0;
     current->headroom_lost = false;
-    current->fell_short = false;
+    current->strayed = false;
     current->short_blocks = 0;
     set_state(current, CURRENT_RAMPING);
 }
@@ -96,7 +96,7 @@ int16_t current_set_point(current_t *current, int32_t level) {
     const int32_t wanted = (int32_t)(size * scale / CURRENT_ONE) - line->shift + line->carry;
     int32_t count = (wanted + FINE / 2) >> 4;
     if (count < 0 || count > REFERENCE_MAX) {
-        current->fell_short |= count > 0;
+        current->strayed |= count > 0;
         count = count < 0 ? 0 : REFERENCE_MAX;
         line->carry = 0;
     } else {
@@ -171,12 +171,12 @@ static void end_block(current_t *current) {
     current->measured_A = both ? 0.5f * (level[0] + level[1]) : level[0] + level[1];
     current->dc_A = both ? 0.5f * (level[0] - level[1]) : 0.0f;
     current->reference = (uint16_t)reference;
-    if (holding && (current->fell_short || current->measured_A < SHORT_AMPLITUDE * current->target_A)) {
+    if (holding && (current->strayed || current->measured_A < SHORT_AMPLITUDE * current->target_A)) {
         current->short_blocks = SHORT_BLOCKS;
     }
     current->headroom_lost = current->short_blocks > 0u;
     current->short_blocks = (uint8_t)(current->short_blocks - current->headroom_lost);
-    current->fell_short = false;
+    current->strayed = false;
     current->chips = 0;
     current->state = arrived ? CURRENT_HOLDING : CURRENT_RAMPING;
 }
@@ -225,7 +225,7 @@ static bool take_driven(current_t *current, uint32_t asked, bool negative, int32
     }
     const bool holding = current->state == CURRENT_HOLDING;
     const int32_t allowed = (expected >> SHORT_SHIFT) + SHORT_COUNTS, missing = expected - along;
-    current->fell_short |= holding && missing > allowed;
+    current->strayed |= holding && (missing > allowed || missing < -allowed);
     if (!holding || missing <= allowed + (expected >> LEFT_OUT_SHIFT)) {
         line->block_count++;
         line->block_asked += (int32_t)asked;

@@ -36,7 +36,8 @@
  * Headroom. Where the supply cannot bring the current to what was asked before the chip ends, no set-point can: a chip
  * that falls short by an eighth does not count for the line, so that nothing winds up, and one that falls short by 1/64
  * (and 6 counts), a set-point at the end of its range, or an estimated amplitude more than 0.5 % short raises
- * headroom_lost for 33 blocks.
+ * headroom_lost for 33 blocks. So does a chip that brings as much more than is expected: the line is then wrong itself,
+ * and the amplitude that it tells with it.
  *
  * Protections: those of guard.h on every measurement, and, by current_sample and current_middle, an open coil. That is
  * looked for in a chip that asks for more than a quarter of the amplitude and than CURRENT_OPEN_MINIMUM_A (so in
@@ -97,7 +98,7 @@ typedef struct {
 typedef struct {
     /* Results, for reading. */
     uint8_t state;      /* A current_state_t. */
-    bool headroom_lost; /* The driver does not reach the target. */
+    bool headroom_lost; /* The driver does not make what is asked of it. */
     uint16_t reference; /* Set-point of level 1, the larger of both directions, counts; 0 unless ramping or holding. */
     float measured_A;   /* Current at level 1, A: the mean of the directions that are driven. */
     float dc_A;         /* Half the difference of the currents at level 1 and -1, A; 0 if one is not driven. */
@@ -106,14 +107,14 @@ typedef struct {
     guard_t guard;
     /* Private. */
     current_config_t config;
-    current_line_t line[2];   /* Positive, negative. */
-    uint16_t chips;           /* Driven chips of the present block. */
-    uint16_t zeros, quiet;    /* Chips of which the zero is the mean, up to 256; successive chips not driven. */
-    uint16_t open_above;      /* Largest set-point with which the coil may be open, counts. */
-    uint32_t open_share;      /* The open_fraction, 16 fractional bits. */
-    uint8_t short_blocks;     /* Blocks for which headroom_lost is still told. */
-    uint8_t cause;            /* A cause_t: why, in CURRENT_FAULT. */
-    volatile bool fell_short; /* In this block; the planner sets it, too. */
+    current_line_t line[2]; /* Positive, negative. */
+    uint16_t chips;         /* Driven chips of the present block. */
+    uint16_t zeros, quiet;  /* Chips of which the zero is the mean, up to 256; successive chips not driven. */
+    uint16_t open_above;    /* Largest set-point with which the coil may be open, counts. */
+    uint32_t open_share;    /* The open_fraction, 16 fractional bits. */
+    uint8_t short_blocks;   /* Blocks for which headroom_lost is still told. */
+    uint8_t cause;          /* A cause_t: why, in CURRENT_FAULT. */
+    volatile bool strayed;  /* In this block a chip was off what is expected; the planner sets it, too. */
 } current_t;
 
 /* Take a configuration. The state becomes CURRENT_OFF. The zero and the mean square that were measured stay.

@@ -51,6 +51,23 @@ static bool in_range(const parameter_entry_t *entry, uint32_t bits) {
     return bits >= entry->minimum && bits <= entry->maximum && (entry->excluded == 0u || bits != entry->excluded);
 }
 
+/* What a value adds to the seal: two that have changed places are seen, too. */
+static uint32_t weigh(uint32_t place, uint32_t bits) {
+    return bits * (2u * place + 1u);
+}
+
+static uint32_t seal_of(const parameters_t *parameters) {
+    uint32_t sum = PARAMETERS_COUNT; /* Memory that is 0 all over is not sealed. */
+    for (uint32_t place = 0; place < PARAMETERS_COUNT; place++) {
+        sum += weigh(place, parameters->bits[place]);
+    }
+    return sum;
+}
+
+bool parameters_intact(const parameters_t *parameters) {
+    return seal_of(parameters) == parameters->seal;
+}
+
 void parameters_init(parameters_t *parameters) {
     uint32_t place = 0;
     for (size_t i = 0; i < ENTRIES; i++) {
@@ -64,6 +81,7 @@ void parameters_init(parameters_t *parameters) {
             parameters->bits[place] = parameter_defaults[i].bits;
         }
     }
+    parameters->seal = seal_of(parameters);
 }
 
 const parameter_entry_t *parameters_entry(uint32_t index) {
@@ -102,6 +120,12 @@ parameter_status_t parameters_set(parameters_t *parameters, uint32_t id, paramet
     if (!in_range(entry, value.bits)) {
         return PARAMETER_OUT_OF_RANGE;
     }
+    /* The place is looked up anew for the seal: if one of both is wrong, the seal breaks. */
+    uint32_t sealed;
+    if (find(id, &sealed) != entry) {
+        return PARAMETER_UNKNOWN;
+    }
+    parameters->seal += weigh(sealed, value.bits) - weigh(sealed, parameters->bits[sealed]);
     parameters->bits[place] = value.bits;
     return PARAMETER_OK;
 }

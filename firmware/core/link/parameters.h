@@ -28,6 +28,7 @@
 #ifndef GOLDFIELD_PARAMETERS_H
 #define GOLDFIELD_PARAMETERS_H
 
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -71,6 +72,7 @@ typedef struct {
 /* The values of all elements, in the order of the table. */
 typedef struct {
     uint32_t bits[PARAMETERS_COUNT];
+    uint32_t seal; /* A sum over them, which each change keeps up. */
 } parameters_t;
 
 typedef enum {
@@ -103,6 +105,10 @@ parameter_status_t parameters_get(const parameters_t *parameters, uint32_t id, p
 /* Set a parameter; if it is refused it stays as it was.
  * Returns PARAMETER_OK, PARAMETER_UNKNOWN, PARAMETER_WRONG_KIND or PARAMETER_OUT_OF_RANGE. */
 parameter_status_t parameters_set(parameters_t *parameters, uint32_t id, parameter_value_t value);
+
+/* Returns whether all values are as they were set: a stray write, or a bit that has flipped in memory, changes one
+ * without its seal. Costs about five instructions a value. */
+bool parameters_intact(const parameters_t *parameters);
 
 /* Returns entry index of the table, of any role, a constant; NULL behind the last one. */
 const parameter_entry_t *parameters_entry(uint32_t index);

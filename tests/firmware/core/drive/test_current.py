@@ -352,3 +352,20 @@ def test_a_target_beyond_the_set_points_is_told(core):
 )
 def test_impossible_configurations_are_refused(core, values):
     assert not configure(core, **values)[1]
+
+
+@pytest.mark.parametrize("beyond", [26, 27])
+def test_a_current_beyond_what_the_line_expects_is_told_as_one_that_is_short(core, beyond):
+    """1/64 of 10 A and 6 counts: then the line is wrong, as behind a sum that was lost, and so is what it tells."""
+    _, lib = core
+    loop, _ = configure(core, 10.0)
+    drive = Drive(core, loop, noise=0.0)
+    drive.run(31 * 100)
+    assert loop.state == HOLDING
+    assert not loop.headroom_lost
+    expected = int(2560 * loop.line[0].gain_q / 65536) + loop.line[0].offset_q
+    assert lib.current_sample(loop, True, 2560, 2048 + expected + beyond) == 0
+    drive.run(31 - loop.chips)
+    assert loop.headroom_lost == (beyond > (expected >> 6) + 6)
+    drive.run(31 * 33)
+    assert not loop.headroom_lost

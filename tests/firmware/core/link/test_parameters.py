@@ -261,3 +261,21 @@ def test_one_flipped_bit_spoils_the_page(core, position, flip):
     spoiled[position] ^= 1 << flip
     assert load(core, table, bytes(spoiled))[0] == 2
     assert lib.parameters_unsigned(table, 0) == 1
+
+
+def test_a_value_that_nobody_has_set_breaks_the_seal(core, parameters):
+    """Each bit of any value, two values that have changed places, and memory that is 0 all over."""
+    ffi, lib = core
+    assert lib.parameters_intact(parameters)
+    assert setting(core, parameters, PARAMETERS["over_current"].identifier(0), 2, bits(3.5)) == 0
+    assert setting(core, parameters, PARAMETERS["over_current"].identifier(0), 2, bits(99.0)) != 0
+    assert load(core, parameters, page([(PARAMETERS["code"].identifier(0), 0, 17)])) == (0, 0)
+    assert lib.parameters_intact(parameters)
+    for place in (0, 1, 417, 839):
+        for bit in range(32):
+            parameters.bits[place] ^= 1 << bit
+            assert not lib.parameters_intact(parameters), (place, bit)
+            parameters.bits[place] ^= 1 << bit
+    parameters.bits[1], parameters.bits[7] = parameters.bits[7], parameters.bits[1]
+    assert not lib.parameters_intact(parameters)
+    assert not lib.parameters_intact(ffi.new("parameters_t *"))
