@@ -68,6 +68,7 @@ LONG = (
     "host/survey/test_metal.py",
     "host/survey/test_survey.py",
     "host/track",
+    "image_faults",
     "proofs/test_proofs.py",
 )
 """Folders and files that `make check` leaves out: each of them takes many seconds."""

@@ -139,6 +139,12 @@ campaign: all ## Let every kind of fault strike host boards, and hold each pose 
 
 .PHONY: campaign
 
+IMAGE_FAULTS ?=
+image-faults: all ## Skip each instruction of the protecting code once, flip registers, on the images; judge by current, flash and parameters (hours; goes on where it was stopped; IMAGE_FAULTS="--every 20")
+	@OPENBLAS_NUM_THREADS=1 $(PYTHON) -m tests.image_faults $(IMAGE_FAULTS)
+
+.PHONY: image-faults
+
 readme-figures: all ## Compare each figure that README.md and some pages quote with what a command prints (an hour)
 	@$(PYTHON) -m tests.bench.readme_figures
 

@@ -1,0 +1,242 @@
+"""A sample of the trials on the images as they are built, and that what is wrong would be seen."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.firmware.host_rig import MS, PIN_ENABLE, PINS_BRIDGE, SECOND, US, gold_chips
+from tests.firmware.services.saved_flash import REFUSED, answers, ask_to_save
+from tests.image_faults.__main__ import WORKLOADS, main, read, upsets_of
+from tests.image_faults.driven import CHIP, CODE, Driven, above_us, chips, driven, history, is_code
+from tests.image_faults.image import instructions, module_of, name_of, place_of
+from tests.image_faults.linked import linked, quiet
+from tests.image_faults.table import shown, wrong
+from tests.image_faults.trial import NOT_STRUCK, Outcome, Upset, ready, run
+from tests.image_faults.workload import BEACON_IMAGE, DANGEROUS, NOTHING, SAID, VERDICTS, WRONG, Workload, told
+
+
+def named(name: str) -> Workload:
+    return next(one for one in WORKLOADS if one.name == name)
+
+
+def outcomes(
+    workload: Workload, *, functions: tuple[str, ...] = (), every: int = 1, kind: str = "skip"
+) -> list[Outcome]:
+    """Run the upsets of some functions, or a share of all."""
+    bench, visits, sound = ready(workload)
+    own = instructions(workload.image)
+    found = [
+        one
+        for one in upsets_of(workload, visits, (kind,))
+        if not functions or one.kind == "ram" or own[one.address].function in functions
+    ]
+    assert found
+    done = list(run(workload, bench, found[::every], sound, 1))
+    bench.close()
+    return done
+
+
+def check(done: list[Outcome]) -> None:
+    assert not wrong(done), [(one.id, one.function, one.why) for one in wrong(done)]
+    assert {one.verdict for one in done} <= {*VERDICTS, NOT_STRUCK}
+
+
+# ---- Samples ----
+
+
+def test_no_instruction_of_the_latch_is_needed_alone() -> None:
+    """One that was skipped, in front of the store of the cause, once let the drive go on unwatched for ever."""
+    done = outcomes(named("look1"), functions=("latch_set",))
+    assert len(done) >= 15
+    check(done)
+
+
+def test_no_instruction_that_asks_for_the_key_is_needed_alone() -> None:
+    """Each of these, skipped, once let a stranger change the node's number or a parameter."""
+    done = outcomes(named("locked"), functions=("access_granted", "parameter_requests_set"))
+    assert len(done) >= 30
+    check(done)
+
+
+@pytest.mark.parametrize(
+    ("name", "every"), [("look0", 131), ("look2", 137), ("before", 211), ("locked", 37), ("frames", 41), ("load", 83)]
+)
+def test_a_sample_of_skips(name: str, every: int) -> None:
+    check(outcomes(named(name), every=every))
+
+
+def test_a_sample_of_flips() -> None:
+    check(outcomes(named("look1"), every=67, kind="flip"))
+    check(outcomes(named("before"), every=997, kind="ram"))
+
+
+def test_an_upset_does_the_same_each_time(capsys: pytest.CaptureFixture[str]) -> None:
+    workload = named("locked")
+    bench, visits, _ = ready(workload)
+    bench.close()
+    case = upsets_of(workload, visits, ("flip",))[77].id
+    assert main(["--workload", "locked", "--case", case]) == 0
+    first = json.loads(capsys.readouterr().out)
+    assert main(["--workload", "locked", "--case", case]) == 0
+    assert json.loads(capsys.readouterr().out) == first
+    assert first["with"]["verdict"] in VERDICTS
+
+
+# ---- Parameters that nobody has set ----
+
+
+def test_a_parameter_that_has_changed_by_itself_ends_in_a_reset_that_is_told() -> None:
+    board = quiet()
+    board.run(100 * MS)
+    place = place_of(BEACON_IMAGE, "beacon.node.parameters.bits")
+    board.emulator.flip_memory(place.start + 7 * 4 + 2, 0x10)
+    ask_to_save(board, 101 * MS)
+    board.run(150 * MS)
+    assert answers(board) == [REFUSED]
+    board.run(1400 * MS)
+    assert told(board, 200 * MS).resets == 1
+    before = quiet()
+    before.run(100 * MS)
+    assert board.emulator.memory(place.start, len(place)) == before.emulator.memory(place.start, len(place))
+    before.close()
+    board.run(4 * SECOND)
+    assert told(board, 1400 * MS).resets == 0
+    board.close()
+
+
+# ---- What would be seen ----
+
+
+class Played:
+    """What came out of a board, as this test has it."""
+
+    def __init__(self, begin: int, end: int, amperes: float = 8.0) -> None:
+        self.pins = [(begin, PIN_ENABLE, True), (end, PIN_ENABLE, False)]
+        self.analog = ([(begin, amperes * 3.3 / 16.0)], [])
+        for place, sign in enumerate(np.resize(gold_chips(CODE), (end - begin) // CHIP)):
+            at = begin + place * CHIP
+            self.pins += [(at, PINS_BRIDGE[0][0], bool(sign > 0)), (at, PINS_BRIDGE[0][1], bool(sign < 0))]
+
+
+def test_the_current_is_that_of_bridge_and_driver() -> None:
+    board, fault = Played(10 * MS, 30 * MS), 20 * MS
+    spans = history(board, fault, 40 * MS)  # type: ignore[arg-type]
+    assert above_us(spans) == pytest.approx((30 * MS - fault) / US)
+    assert above_us(history(board, 50 * MS, 40 * MS)) == 0.0  # type: ignore[arg-type]
+    assert {round(abs(amperes), 9) for a, b, amperes in spans if b <= 10 * MS or a >= 30 * MS} == {0.0}
+    assert above_us(history(Played(10 * MS, 30 * MS, 12.1), 50 * MS, 40 * MS)) == 20_000  # type: ignore[arg-type]
+
+
+def test_chips_are_the_codes_or_not() -> None:
+    spans = history(Played(0, 100 * CHIP), 1 << 60, 100 * CHIP)  # type: ignore[arg-type]
+    found = chips(spans, 20 * CHIP, 70 * CHIP)
+    assert found is not None
+    assert len(found) > 40
+    assert is_code(found)
+    changed = found.copy()
+    changed[20] *= -1
+    assert not is_code(changed)
+    assert not is_code(None)
+
+
+SOUND = {
+    "causes": ["over_current"],
+    "resets": 0,
+    "crashed": False,
+    "messages": 3,
+    "state": "",
+    "running": True,
+    "headroom_lost": False,
+}
+SOUND |= {"above_us": 21.9, "drives": True, "code": True, "level_A": 8.0}
+
+
+@pytest.mark.parametrize(
+    ("change", "verdict"),
+    [
+        ({}, NOTHING),
+        ({"above_us": 97.0}, NOTHING),
+        ({"above_us": 99.0}, SAID),
+        ({"above_us": 346.3}, DANGEROUS),
+        ({"causes": ["stale"]}, SAID),
+        ({"resets": 1}, SAID),
+        ({"causes": []}, WRONG),
+        ({"causes": [], "messages": 0}, SAID),
+        ({"code": False}, WRONG),
+        ({"level_A": 7.7}, WRONG),
+        ({"level_A": 7.9}, NOTHING),
+        ({"running": False}, SAID),
+    ],
+)
+def test_verdicts_of_a_drive(change: dict[str, object], verdict: str) -> None:
+    assert Driven("look", 0, 0).judge(SOUND | change, SOUND).verdict == verdict
+
+
+def test_verdicts_of_a_link() -> None:
+    workload = linked()[0]
+    sound = SOUND | {"changed": {"7": 1080033280}, "values": [[7, 0, 3584]], "answers": []}
+    assert workload.judge(sound, sound).verdict == NOTHING
+    for change, verdict in (
+        ({"changed": {"7": 1080033280, "9": 5}}, WRONG),
+        ({"changed": {"7": 5}}, WRONG),
+        ({"changed": {"7": 5}, "values": [[7, 0, 9]]}, SAID),
+        ({"changed": {}}, WRONG),
+        ({"changed": {}, "values": []}, SAID),
+    ):
+        assert workload.judge(sound | change, sound).verdict == verdict
+
+
+# ---- Images, results, the table ----
+
+
+def test_each_source_file_has_its_module() -> None:
+    assert module_of("firmware/core/drive/current.c") == "current"
+    assert module_of("firmware/core/drive/latch.c") == "protection"
+    assert module_of("firmware/services/node.c") is None
+
+
+def test_instructions_are_those_of_the_disassembler(tmp_path: Path) -> None:
+    """Literal pools are none, and each begins where arm-none-eabi-objdump has it begin."""
+    import re
+    import subprocess
+
+    text = subprocess.run(
+        ["arm-none-eabi-objdump", "-d", "--no-show-raw-insn", str(BEACON_IMAGE)],
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+    listed = {
+        int(place, 16)
+        for place, word in re.findall(r"^ ([0-9a-f]{7}):\s+(\S+)", text, re.M)
+        if not word.startswith(".")
+    }
+    own = instructions(BEACON_IMAGE)
+    assert set(own) <= listed
+    whole = {one.function for one in own.values()}
+    assert {"latch_set", "current_sample", "hal_drive_enable", "frame_decode"} <= whole
+    assert len([at for at in listed if own.get(at - 2) or at in own]) >= len(own)
+
+
+def test_results_of_other_builds_do_not_count_and_cut_off_lines_neither(tmp_path: Path) -> None:
+    path, ours = tmp_path / "outcomes.jsonl", name_of(BEACON_IMAGE)
+    one = Outcome("look0/skip/08021234", ours, "board", "f", SAID, "reset")
+    other = Outcome("look0/skip/08021236", "another", "board", "f", DANGEROUS, "")
+    path.write_text(json.dumps(one.as_dict()) + "\n" + json.dumps(other.as_dict()) + "\n" + '{"id": "look0/sk')
+    found = read(path, WORKLOADS)
+    assert found == [one]
+    table = shown(found, WORKLOADS)
+    assert "skips in board" in table
+    assert not wrong(found)
+
+
+def test_an_upset_has_an_id_that_runs_it_again() -> None:
+    assert Upset("look0", "skip", 0x8021234, 5).id == "look0/skip/08021234"
+    assert Upset("look0", "flip", 0x8021234, 5, 3, 31).id == "look0/flip/08021234/3/31"
+    assert Upset("before", "ram", 0x20001234, 5, 0, 7).id == "before/ram/20001234/7"
+    assert main(["--case", "nowhere/skip/08021234"]) == 2
+    assert [one.name for one in driven()] == ["look0", "look1", "look2", "before", "start"]
