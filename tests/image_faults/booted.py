@@ -13,7 +13,7 @@ from tests.firmware.core.boot.slots import OTHER_KEY
 from tests.image_faults.workload import DANGEROUS, NOTHING, SAID, Seen, Verdict
 
 A, B = 0, 1
-STEP_MS, LONGEST_MS = 20, 2600
+STEP_MS, LONGEST_MS = 20, 3600
 
 
 def forged() -> Part:

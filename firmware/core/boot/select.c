@@ -72,18 +72,23 @@ select_choice_t select_choice(const select_t *select) {
 
 /* ---- Deciding ---- */
 
+/* Whether the image in its place is one to be started for the first time. */
+static bool is_signed(const select_t *select, const image_demand_t *demand) {
+    return image_check(&select->flash, select->order[select->place], demand) == IMAGE_OK;
+}
+
 static uint8_t start(select_t *select, bool trial) {
     select->choice = (select_choice_t){.found = true, .slot = select->order[select->place], .trial = trial};
     return PHASE_DONE;
 }
 
-/* No slot is left: any image that is signed is better than none. */
+/* No slot is left: any image that is signed is better than none. It is checked twice, as in after(). */
 static uint8_t last_resort(select_t *select) {
     const image_demand_t any = {.role = IMAGE_ANY_ROLE, .least_version = 0};
     for (uint32_t place = 0; place < IMAGE_SLOTS; place++) {
         if (image_check(&select->flash, select->order[place], &any) == IMAGE_OK) {
             select->place = place;
-            return start(select, true);
+            return is_signed(select, &any) ? start(select, true) : (uint8_t)PHASE_DONE;
         }
     }
     return PHASE_DONE;
@@ -100,6 +105,12 @@ static bool is_settled(const select_t *select, uint8_t phase) {
     return words[work[phase].index[1]] == work[phase].value;
 }
 
+/* Whether the image in its place is confirmed: it is asked for again, and its place read again, before it starts
+ * without its signature. */
+static bool is_confirmed(const select_t *select) {
+    return select_state(&select->flash, select->order[select->place]) == SELECT_CONFIRMED;
+}
+
 static uint8_t look(select_t *select) {
     const image_flash_t *const flash = &select->flash;
     const uint32_t slot = select->order[select->place];
@@ -109,7 +120,7 @@ static uint8_t look(select_t *select) {
         return image_check(flash, slot, &demand) == IMAGE_OK ? PHASE_TRY : PHASE_REJECT;
     }
     case SELECT_CONFIRMED:
-        if (!image_intact(flash, slot)) {
+        if (!image_intact(flash, slot) || !is_confirmed(select)) {
             return next_slot(select);
         }
         return is_settled(select, PHASE_SETTLE) ? start(select, false) : PHASE_SETTLE;
@@ -122,13 +133,20 @@ static uint8_t look(select_t *select) {
     }
 }
 
+/* Whether the image that was marked as tried is one that may be: a single instruction that goes wrong, in the check or
+ * behind it, starts none that nobody has signed. */
+static bool is_good_again(const select_t *select) {
+    const image_demand_t demand = select_demand(&select->flash, select->order[select->place]);
+    return is_settled(select, PHASE_TRY) && is_signed(select, &demand);
+}
+
 /* What follows when the words of a phase are programmed. */
 static uint8_t after(select_t *select) {
     switch (select->phase) {
     case PHASE_LOOK:
         return look(select);
     case PHASE_TRY:
-        return is_settled(select, PHASE_TRY) ? start(select, true) : next_slot(select);
+        return is_good_again(select) ? start(select, true) : next_slot(select);
     case PHASE_SETTLE:
         return start(select, false);
     default:

@@ -9,7 +9,8 @@
  * The newest image comes first. It starts
  *   confirmed    if it is intact (its CRC; it was checked when it was new);
  *   pending      and never tried, if image_check() finds nothing: for the board, of the role and not older than the
- *                confirmed image in the other slot, and signed. It is marked as tried before it starts;
+ *                confirmed image in the other slot, and signed. It is marked as tried before it starts, and checked
+ *                once more behind that: one instruction that goes wrong starts nothing that nobody has signed;
  * and it is rejected for ever, and the other one looked at, if it was tried and is not confirmed, or fails the check.
  * If all this leaves none, the newest image that is signed starts whatever became of it, since a node without any is
  * out of reach; nothing is marked then.
@@ -19,8 +20,8 @@
  * IMAGE_CONFIRMED, which both are MARK, or both void for a rejection. A word that does not take its value (worn flash)
  * costs the pending image its start, and nothing else.
  *
- * Contexts: the boot loader, before anything else runs. Memory: select_t takes 80 bytes. Time: a CRC; a signature
- * only when an image is tried. It programs at most 6 words, and erases nothing.
+ * Contexts: the boot loader, before anything else runs. Memory: select_t takes 80 bytes. Time: a CRC; a signature,
+ * twice, only when an image is tried. It programs at most 6 words, and erases nothing.
  */
 #ifndef GOLDFIELD_SELECT_H
 #define GOLDFIELD_SELECT_H

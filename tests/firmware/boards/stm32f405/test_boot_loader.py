@@ -20,8 +20,8 @@ from tests.firmware.boards.stm32f405.test_reset import RESTART, RUN_MS, told
 from tests.firmware.core.boot.slots import KEY, OTHER_KEY, public
 
 A, B = 0, 1
-CONFIRMED_MS, TRIAL_MS = 400, 2500
-"""After so long an image runs that was confirmed, or that is on trial, whose signature takes its time."""
+CONFIRMED_MS, TRIAL_MS = 400, 3200
+"""After so long an image runs that was confirmed, or that is on trial, whose signature takes its time twice."""
 PENDING = (2, ERASED - 2, ERASED, MARK)
 TRIED = (*PENDING, MARK)
 CONFIRMED = (*TRIED, MARK, MARK)

@@ -443,3 +443,22 @@ def test_any_state_words_leave_a_signed_image_running(core, noise):
     assert node.steps == steps
     assert last[0] == last[1] == choice
     assert node.state(0) in range(NOTHING, IS_REJECTED + 1)
+
+
+def test_a_new_image_is_checked_again_behind_its_mark(core):
+    """Whatever let the first check pass, as a skipped instruction does, what is wrong then does not start."""
+
+    class Other(Node):
+        """A node in which a bit of the new image flips as its mark is programmed."""
+
+        def carry_out(self, slot, index, value):
+            super().carry_out(slot, index, value)
+            if (slot, index) == (1, TRIED):
+                self._memory[1][CODE] ^= 1
+
+    for kind, started in ((Node, Choice(1, True)), (Other, Choice(0, False))):
+        node = kind(core)
+        node.confirmed(OLD, 0, 7)
+        node.put(NEW, 1, sequence=8, pending=MARK)
+        assert node.boot() == started, kind
+        assert node.boot() == Choice(0, False)
