@@ -15,17 +15,34 @@ static void carry_out(storage_t *storage, const store_step_t *step) {
     }
 }
 
-storage_found_t storage_start(storage_t *storage, hal_t *hal, parameters_t *parameters) {
-    memset(storage, 0, sizeof *storage);
-    storage->hal = hal;
-    const store_flash_t flash = {{hal_flash_slot(hal, 0), hal_flash_slot(hal, 1)}, HAL_FLASH_WORDS};
+/* Whether the parameters are those of a set, if the set is one of this table. */
+static bool are_those(storage_t *storage, const parameters_t *parameters, const uint32_t *words, uint32_t count) {
+    if (count != PARAMETER_SET_WORDS) {
+        return true;
+    }
+    (void)parameter_set_write(parameters, words[1], storage->words); /* Its version stands there. */
+    return memcmp(words, storage->words, sizeof storage->words) == 0;
+}
+
+static storage_found_t load(storage_t *storage, parameters_t *parameters) {
+    const store_flash_t flash = {{hal_flash_slot(storage->hal, 0), hal_flash_slot(storage->hal, 1)}, HAL_FLASH_WORDS};
     store_open(&storage->store, &flash);
     storage_found_t found = {.torn = store_torn(&storage->store)};
     uint32_t count;
     const uint32_t *const words = store_read(&storage->store, &count);
-    if (words != NULL && parameter_set_read(parameters, words, count, &found.refused) != PARAMETER_SET_LOADED) {
+    if (words != NULL && (parameter_set_read(parameters, words, count, &found.refused) != PARAMETER_SET_LOADED ||
+                          (found.refused == 0u && !are_those(storage, parameters, words, count)))) {
         found.refused = 1;
     }
+    return found;
+}
+
+/* The set is loaded twice: what an instruction that goes wrong passes over in one, the other one loads. */
+storage_found_t storage_start(storage_t *storage, hal_t *hal, parameters_t *parameters) {
+    memset(storage, 0, sizeof *storage);
+    storage->hal = hal;
+    (void)load(storage, parameters);
+    const storage_found_t found = load(storage, parameters);
     for (uint32_t i = 0; i < STORAGE_MENDS; i++) {
         const store_step_t step = store_next(&storage->store);
         if (step.kind == STORE_NOTHING) {
