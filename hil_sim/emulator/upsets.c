@@ -10,11 +10,10 @@
 #define NOP         0xBF00u
 #define NOP_W_FIRST 0xF3AFu
 #define NOP_W_LAST  0x8000u
-#define BLOCK_BYTES 14u /* The farthest that an instruction of an IT block lies behind its opening: 2 and 3 times 4.   \
-                         */
-#define CORE_FLAGS 16u  /* Numbers of registers, as emulator.h has them. */
-#define CORE_PC    15u
-#define FLAGS_MASK 0xF8000000u
+#define BLOCK_BYTES 14u /* An instruction of an IT block lies at most so far behind its opening. */
+#define CORE_FLAGS  16u /* Numbers of registers, as emulator.h has them. */
+#define CORE_PC     15u
+#define FLAGS_MASK  0xF8000000u
 
 typedef enum {
     UPSET_NONE,

@@ -12,6 +12,8 @@ from typing import Any
 
 from elftools.elf.elffile import ELFFile
 
+from hil_sim.emulator.emulator import read_image
+
 MODULES = {
     "current": ("core/drive/current.c", "core/drive/waveform.c"),
     "protection": ("core/drive/", "services/drive", "boards/stm32f405/alarms.c", "boards/stm32f405/guards.c"),
@@ -101,8 +103,11 @@ def text_of(path: Path) -> range:
 
 @cache
 def name_of(path: Path) -> str:
-    """Return what tells an image from all others: addresses are as good as the build."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()[:12]
+    """Return what tells the code of an image from all others: addresses are as good as the build."""
+    found = hashlib.sha256()
+    for address, data in read_image(path)[0]:
+        found.update(address.to_bytes(4, "little") + data)
+    return found.hexdigest()[:12]
 
 
 def _plain(die: Any) -> Any:

@@ -292,8 +292,10 @@ class Started:
         return bench.emulator
 
     def observe(self, bench: Board) -> Seen:
-        """Run until it has long started."""
+        """Run until it has long started, or until the watchdog has struck one that has said nothing."""
         running = bench.emulator.run(60 * MS)
+        if running and not told(bench).messages:
+            running = bench.emulator.run(1600 * MS)
         found = parameters_of(bench.emulator)
         differ = [i for i, (a, b) in enumerate(zip(found, started(kept()), strict=True)) if a != b]
         return {
@@ -308,10 +310,10 @@ class Started:
         fallen = _again(seen, sound)
         if fallen is not None:
             return fallen
+        if seen["messages"] == 0:
+            return Verdict(SAID, "silence: it does not start")
         if seen["differ"]:
             return Verdict(SAID if seen["counted"] > 0 else WRONG, f"parameters at {seen['differ']} are others")
-        if seen["messages"] == 0:
-            return Verdict(SAID, "silence")
         return Verdict(NOTHING)
 
 
