@@ -248,13 +248,19 @@ static cause_t fail(current_t *current, cause_t cause) {
     return cause;
 }
 
+/* Returns why the current is in its fault state. Without a cause nobody has put it there: a bit of the state flipped.
+ */
+static cause_t standing(const current_t *current) {
+    return current->cause != (uint8_t)CAUSE_NONE ? (cause_t)current->cause : CAUSE_EXCESS;
+}
+
 static uint32_t size_of(int16_t set_point) {
     return (uint32_t)(set_point < 0 ? -set_point : set_point);
 }
 
 cause_t current_edge(current_t *current, int16_t set_point, uint16_t count) {
     if (current->state == CURRENT_FAULT) {
-        return (cause_t)current->cause;
+        return standing(current);
     }
     const cause_t cause = guard_edge(&current->guard, size_of(set_point), (int32_t)count - CURRENT_MID_SCALE);
     return cause != CAUSE_NONE ? fail(current, cause) : CAUSE_NONE;
@@ -275,7 +281,7 @@ cause_t current_sample(current_t *current, bool driven, int16_t set_point, uint1
     const uint32_t asked = size_of(set_point);
     const cause_t cause = guard_sample(&current->guard, asked, came); /* In a fault, too: its mean square goes on. */
     if (current->state == CURRENT_FAULT) {
-        return (cause_t)current->cause;
+        return standing(current);
     }
     if (cause != CAUSE_NONE) {
         return fail(current, cause);

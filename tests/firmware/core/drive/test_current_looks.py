@@ -52,6 +52,16 @@ def test_a_fault_tells_its_cause_at_each_look_until_it_is_configured_anew(core):
     assert lib.current_sample(loop, False, 0, 2048) == 0
 
 
+def test_a_fault_state_that_nobody_has_set_is_a_fault(core):
+    """Of 2, holding, one bit makes 3."""
+    _, lib = core
+    loop = running(core)
+    loop.state = FAULT
+    assert lib.current_edge(loop, 0, 2048) == EXCESS
+    assert lib.current_middle(loop, 2560, 2048 + 1280, 2048 + 1280) == EXCESS
+    assert lib.current_sample(loop, True, 2560, 2048 + 1280) == EXCESS
+
+
 def test_the_first_chip_after_a_reset_may_carry_what_nobody_asked_for(core):
     """The coil was driven when the board was reset, and its current still falls; beyond the limit it is a fault."""
     _, lib = core
