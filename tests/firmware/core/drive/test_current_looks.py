@@ -53,7 +53,7 @@ def test_a_fault_tells_its_cause_at_each_look_until_it_is_configured_anew(core):
 
 
 def test_a_fault_state_that_nobody_has_set_is_a_fault(core):
-    """Of 2, holding, one bit makes 3."""
+    """One bit makes it from 2, holding."""
     _, lib = core
     loop = running(core)
     loop.state = FAULT
