@@ -9,7 +9,7 @@
 #include "emulator/exceptions.h"
 #include "emulator/execution.h"
 #include "emulator/flash_wait.h"
-#include "emulator/protection.h"
+#include "emulator/memory_hooks.h"
 #include "emulator/system_control.h"
 #include "emulator/systick.h"
 #include "emulator/upsets.h"
@@ -92,8 +92,7 @@ board_status_t cpu_run(cpu_t *cpu, int64_t until_ps) {
         }
         if (cpu->rules_changed) {
             cpu->rules_changed = false;
-            protection_apply(cpu);
-            execution_watch_alignment(cpu);
+            memory_hooks_follow_rules(cpu);
         }
         const int64_t time = core_clock_time(&cpu->clock, cpu_cycle(cpu));
         machine_fire(machine, time < until_ps ? time : until_ps - 1);

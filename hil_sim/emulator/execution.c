@@ -13,23 +13,14 @@
 #include "emulator/exceptions.h"
 #include "emulator/flash_wait.h"
 #include "emulator/it_block.h"
+#include "emulator/memory_hooks.h"
 #include "emulator/probes.h"
-#include "emulator/protection.h"
 
 #define OPCODE_WFI   0xBF30u
 #define OPCODE_WFE   0xBF20u
 #define OPCODE_YIELD 0xBF10u
 
 #define CPACR_FPU 0x00F00000u
-
-/* Numbers that Unicorn hands to an interrupt hook (qemu/target/arm/cpu.h). */
-enum {
-    UNICORN_SVC = 2,
-    UNICORN_PREFETCH_ABORT = 3,
-    UNICORN_DATA_ABORT = 4,
-    UNICORN_BREAKPOINT = 7,
-    UNICORN_EXCEPTION_EXIT = 8
-};
 
 /* ---- Before an instruction ---- */
 
@@ -166,47 +157,6 @@ static void on_interrupt(uc_engine *uc, uint32_t number, void *user) {
     uc_emu_stop(uc);
 }
 
-static bool on_bad_memory(uc_engine *uc, uc_mem_type type, uint64_t address, int size, int64_t value, void *user) {
-    (void)uc;
-    cpu_t *const cpu = user;
-    cpu->bad_address = (uint32_t)address;
-    cpu->forbidden = false;
-    if (type == UC_MEM_WRITE_PROT && (uint32_t)address - FLASH_BASE < FLASH_SIZE &&
-        protection_allows(cpu, (uint32_t)address, (unsigned)size, MPU_WRITE)) {
-        core_bus_flash_store(cpu, (uint32_t)address, (unsigned)size, (uint64_t)value);
-        return true; /* Unicorn drops the store. */
-    }
-    bool admitted = false;
-    if (flash_wait_met(cpu, type, (uint32_t)address, (unsigned)size, &admitted)) {
-        return admitted;
-    }
-    const bool protected = type == UC_MEM_READ_PROT || type == UC_MEM_WRITE_PROT || type == UC_MEM_FETCH_PROT;
-    return protected && protection_admits(cpu, type, (uint32_t)address, (unsigned)size, (uint64_t)value);
-}
-
-static void on_access(uc_engine *uc, uc_mem_type type, uint64_t address, int size, int64_t value, void *user) {
-    (void)uc;
-    (void)value;
-    cpu_t *const cpu = user;
-    if (size > 1 && (address & ((unsigned)size - 1u)) != 0 && cpu->fault.exception == 0) {
-        core_bus_unaligned(cpu, (uint32_t)address, (unsigned)size, type == UC_MEM_WRITE);
-    }
-}
-
-void execution_watch_alignment(cpu_t *cpu) {
-    const bool wanted = (cpu->system.ccr & CCR_UNALIGN_TRP) != 0;
-    if (wanted == cpu->alignment_watched) {
-        return;
-    }
-    if (wanted) {
-        uc_hook_add(cpu->uc, &cpu->alignment_hook, UC_HOOK_MEM_READ | UC_HOOK_MEM_WRITE, (void *)on_access, cpu, 1, 0);
-    } else {
-        uc_hook_del(cpu->uc, cpu->alignment_hook);
-    }
-    uc_ctl_flush_tb(cpu->uc); /* Code that is translated already looks at no access. */
-    cpu->alignment_watched = wanted;
-}
-
 /* ---- After Unicorn returned ---- */
 
 /* The instruction at code_last_address() did not complete. */
@@ -228,20 +178,6 @@ static uint32_t take_state(cpu_t *cpu) {
     cpu->pc = pc & ~1u;
     cpu->it_state = it_block_from_xpsr(xpsr);
     return pc;
-}
-
-/* Unicorn looks for code to discard at every store into memory that may hold code, which doubles a store's cost:
- * SRAM becomes executable only when a program first jumps there. False: it is not that. */
-static bool allow_code_in_sram(cpu_t *cpu) {
-    if (cpu->sram_executable || cpu->pc - SRAM_BASE >= SRAM_SIZE) {
-        return false;
-    }
-    cpu->sram_executable = true;
-    if (cpu->system.mpu.applied) {
-        protection_apply(cpu);
-        return true;
-    }
-    return uc_mem_protect(cpu->uc, SRAM_BASE, SRAM_SIZE, UC_PROT_ALL) == UC_ERR_OK;
 }
 
 static void fetch_failed(cpu_t *cpu, uint32_t pc) {
@@ -341,7 +277,7 @@ static void left_unicorn(cpu_t *cpu, uc_err error) {
     case UC_ERR_FETCH_UNMAPPED:
     case UC_ERR_FETCH_PROT: {
         const uint32_t pc = take_state(cpu);
-        if (cpu->forbidden || (!flash_wait_fetch(cpu, pc & ~1u) && !allow_code_in_sram(cpu))) {
+        if (cpu->forbidden || (!flash_wait_fetch(cpu, pc & ~1u) && !memory_hooks_open_sram(cpu))) {
             fetch_failed(cpu, pc);
         }
         break;
@@ -358,6 +294,7 @@ static void left_unicorn(cpu_t *cpu, uc_err error) {
 }
 
 void execution_run(cpu_t *cpu) {
+    memory_hooks_before_run(cpu);
     if (cpu->it_state != 0) {
         cpu_set_register(cpu, UC_ARM_REG_EPSR, it_block_to_xpsr(cpu->it_state) | 1u << 24);
     }
@@ -393,7 +330,7 @@ uc_err execution_create(cpu_t *cpu) {
         error = uc_hook_add(cpu->uc, &cpu->interrupt_hook, UC_HOOK_INTR, (void *)on_interrupt, cpu, 1, 0);
     }
     if (error == UC_ERR_OK) {
-        error = uc_hook_add(cpu->uc, &cpu->memory_hook, UC_HOOK_MEM_INVALID, (void *)on_bad_memory, cpu, 1, 0);
+        error = memory_hooks_create(cpu);
     }
     return error;
 }

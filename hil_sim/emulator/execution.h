@@ -15,7 +15,4 @@ uc_err execution_create(cpu_t *cpu);
  * request, or cpu->until_ps. */
 void execution_run(cpu_t *cpu);
 
-/* Look at the alignment of each access, or no more: CCR.UNALIGN_TRP has changed. Unicorn must not run. */
-void execution_watch_alignment(cpu_t *cpu);
-
 #endif

@@ -3,7 +3,8 @@
  * From the bottom up: nvic.h (which exception comes first), mpu.h (which access is allowed), code_view.h (the program
  * as bytes), probes.h (instruction counts), exceptions.h (entry, return, faults), systick.h and system_control.h (the
  * core's own registers), protection.h (what is forbidden), core_bus.h (what lies at which address), flash_wait.h (what
- * a busy flash holds up), upsets.h (glitches), execution.h (Unicorn), cpu.h (life, reset and the run of a processor).
+ * a busy flash holds up), upsets.h (glitches), memory_hooks.h (what Unicorn asks about memory), execution.h (Unicorn),
+ * cpu.h (life, reset and the run of a processor).
  *
  * Time. executed counts instructions, cpu_work() what they cost (cycles.h), skipped the cycles asleep; the instruction
  * about to run starts at cycle work + skipped. An instruction whose condition fails inside an IT block costs nothing
@@ -107,7 +108,23 @@ typedef struct {
     uint32_t base;
 } bus_window_t;
 
+/* The addresses of RAM, from the first to the last of an area, at which the memory protection unit may forbid
+ * something; none if last is 0. */
+typedef struct {
+    uint32_t first, last;
+    uc_hook hook; /* 0: there is none. */
+} closed_ram_t;
+
 typedef enum { LEAVE_NOTHING, LEAVE_STOPPED, LEAVE_EXCEPTION } leave_t;
+
+/* Numbers that Unicorn hands to an interrupt hook (qemu/target/arm/cpu.h). */
+enum {
+    UNICORN_SVC = 2,
+    UNICORN_PREFETCH_ABORT = 3,
+    UNICORN_DATA_ABORT = 4,
+    UNICORN_BREAKPOINT = 7,
+    UNICORN_EXCEPTION_EXIT = 8
+};
 
 struct cpu {
     /* What the code hook touches at each instruction. */
@@ -160,7 +177,9 @@ struct cpu {
     uint64_t access_executed; /* Count at the last peripheral access: several by one instruction are looked at. */
 
     bus_window_t windows[3];
-    uc_hook code_hook, interrupt_hook, memory_hook, alignment_hook, probe_hooks[PROBES];
+    unsigned pages_asked;       /* Pages that Unicorn asked about since its table of them was widened. */
+    closed_ram_t closed_ram[2]; /* The SRAM's, and that of the core-coupled memory. */
+    uc_hook code_hook, interrupt_hook, memory_hooks[3], page_hook, alignment_hook, probe_hooks[PROBES];
     upsets_t *upsets; /* NULL: nobody has asked for any. */
     char *report;     /* Text of the last report (emulator.c). */
 };

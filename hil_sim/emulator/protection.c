@@ -79,18 +79,28 @@ static uint32_t page_rights(const mpu_t *mpu, uint32_t page, uint32_t possible) 
     return rights;
 }
 
+static void set_rights(cpu_t *cpu, uint32_t base, uint32_t size, uint32_t rights, uint32_t possible) {
+    uc_mem_protect(cpu->uc, base, size, rights);
+    const bool sram = base >> 24 == SRAM_BASE >> 24;
+    if (rights != possible && (sram || base >> 24 == CCM_BASE >> 24)) {
+        closed_ram_t *const closed = &cpu->closed_ram[sram ? 0 : 1];
+        closed->first = closed->last == 0 ? base : closed->first;
+        closed->last = base + size - 1u;
+    }
+}
+
 static void protect(cpu_t *cpu, uint32_t base, uint32_t size, uint32_t possible) {
     const mpu_t *const mpu = &cpu->system.mpu;
     uint32_t start = 0, rights = mpu_enabled(mpu) ? page_rights(mpu, base, possible) : possible;
     for (uint32_t page = PAGE; page < size && mpu_enabled(mpu); page += PAGE) {
         const uint32_t next = page_rights(mpu, base + page, possible);
         if (next != rights) {
-            uc_mem_protect(cpu->uc, base + start, page - start, rights);
+            set_rights(cpu, base + start, page - start, rights, possible);
             start = page;
             rights = next;
         }
     }
-    uc_mem_protect(cpu->uc, base + start, size - start, rights);
+    set_rights(cpu, base + start, size - start, rights, possible);
 }
 
 void protection_apply(cpu_t *cpu) {
@@ -99,6 +109,7 @@ void protection_apply(cpu_t *cpu) {
         return;
     }
     const uint32_t code = UC_PROT_READ | UC_PROT_EXEC, data = UC_PROT_READ | UC_PROT_WRITE;
+    cpu->closed_ram[0].last = cpu->closed_ram[1].last = 0;
     protect(cpu, 0, FLASH_SIZE, code);
     protect(cpu, FLASH_BASE, FLASH_SIZE, code);
     protect(cpu, SYSTEM_MEMORY_BASE, SYSTEM_MEMORY_SIZE, code);
