@@ -173,8 +173,10 @@ static void instruction_failed(cpu_t *cpu, unsigned exception, uint32_t cfsr, co
 
 /* PC and ITSTATE as Unicorn keeps them at the end of a block. */
 static uint32_t take_state(cpu_t *cpu) {
-    const uint32_t pc = cpu_register(cpu, UC_ARM_REG_PC);
-    const uint32_t xpsr = cpu_register(cpu, UC_ARM_REG_XPSR);
+    static const int registers[] = {UC_ARM_REG_PC, UC_ARM_REG_XPSR};
+    uint32_t pc = 0, xpsr = 0;
+    void *values[] = {&pc, &xpsr};
+    uc_reg_read_batch(cpu->uc, registers, values, 2);
     cpu->pc = pc & ~1u;
     cpu->it_state = it_block_from_xpsr(xpsr);
     return pc;
@@ -234,7 +236,6 @@ static void hint_left(cpu_t *cpu, uint16_t opcode) {
 
 static void left_unicorn(cpu_t *cpu, uc_err error) {
     uint16_t opcode = 0;
-    const bool known = code_opcode_at(cpu, code_last_address(cpu), &opcode);
     if (cpu->leave == LEAVE_STOPPED) {
         return;
     }
@@ -258,7 +259,7 @@ static void left_unicorn(cpu_t *cpu, uc_err error) {
         hint_left(cpu, OPCODE_WFI);
         break;
     case UC_ERR_INSN_INVALID:
-        if (known && (opcode == OPCODE_WFE || opcode == OPCODE_YIELD)) {
+        if (code_opcode_at(cpu, code_last_address(cpu), &opcode) && (opcode == OPCODE_WFE || opcode == OPCODE_YIELD)) {
             hint_left(cpu, opcode);
         } else {
             instruction_failed(cpu, EXCEPTION_USAGE_FAULT, CFSR_UNDEFINSTR, "undefined instruction");

@@ -67,8 +67,8 @@ void machine_cancel(machine_t *machine, machine_event_t *event) {
 }
 
 void machine_schedule(machine_t *machine, machine_event_t *event, int64_t time_ps) {
-    machine_cancel(machine, event);
-    if (machine->heap_count == machine->heap_capacity) {
+    const bool pending = event->heap_index >= 0;
+    if (!pending && machine->heap_count == machine->heap_capacity) {
         const size_t capacity = machine->heap_capacity == 0 ? 64 : 2 * machine->heap_capacity;
         machine_event_t **const heap = realloc(machine->heap, capacity * sizeof *heap);
         if (heap == NULL) {
@@ -79,8 +79,8 @@ void machine_schedule(machine_t *machine, machine_event_t *event, int64_t time_p
     }
     event->time_ps = time_ps;
     event->order = machine->event_order++;
-    machine->heap_count++;
-    sift(machine, machine->heap_count - 1, event);
+    machine->heap_count += pending ? 0 : 1;
+    sift(machine, pending ? (size_t)event->heap_index : machine->heap_count - 1, event);
     if (event->heap_index == 0 && machine->processor.processor != NULL) {
         machine->processor.attention(machine->processor.processor);
     }

@@ -38,6 +38,10 @@ static void take_region(mpu_t *mpu, unsigned i) {
     const bool holds = (mpu->attributes[i] & RASR_ENABLE) != 0 && log_size >= 5;
     mpu->beyond[i] = holds ? (uint32_t)((UINT64_C(1) << log_size) - 1u) : 0;
     mpu->first[i] = mpu->base[i] & ~mpu->beyond[i];
+    mpu->used = MPU_REGIONS;
+    while (mpu->used > 0 && mpu->beyond[mpu->used - 1u] == 0) {
+        mpu->used--;
+    }
 }
 
 bool mpu_write(mpu_t *mpu, uint32_t address, uint32_t value, bool *changed) {
@@ -65,7 +69,7 @@ bool mpu_write(mpu_t *mpu, uint32_t address, uint32_t value, bool *changed) {
 
 /* The region of the highest number that holds the address; NULL: none does. */
 static const uint32_t *find(const mpu_t *mpu, uint32_t address) {
-    for (unsigned i = MPU_REGIONS; i-- > 0;) {
+    for (unsigned i = mpu->used; i-- > 0;) {
         const uint32_t offset = address - mpu->first[i];
         if (offset > mpu->beyond[i] || mpu->beyond[i] == 0) {
             continue;

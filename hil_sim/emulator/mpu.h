@@ -24,6 +24,7 @@ typedef struct {
     uint32_t control, number;
     uint32_t base[MPU_REGIONS], attributes[MPU_REGIONS]; /* RBAR's address, RASR. */
     uint32_t first[MPU_REGIONS], beyond[MPU_REGIONS]; /* What each holds: an address, and so many behind it; 0: none. */
+    unsigned used;                                    /* One more than the highest region that holds anything. */
     bool applied;                                     /* Unicorn's pages have rules. */
 } mpu_t;
 

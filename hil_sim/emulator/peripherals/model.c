@@ -1,24 +1,8 @@
 /* model.c: the rules that hold for every register. */
 #include "emulator/peripherals/model.h"
 
-#include <math.h>
 #include <stdlib.h>
 #include <string.h>
-
-int64_t clock_time(const clock_domain_t *domain, int64_t tick) {
-    return domain->anchor_ps + (int64_t)ceil((double)(tick - domain->anchor_tick) * domain->period_ps);
-}
-
-int64_t clock_tick(const clock_domain_t *domain, int64_t time_ps) {
-    int64_t tick = domain->anchor_tick + (int64_t)floor((double)(time_ps - domain->anchor_ps) / domain->period_ps);
-    while (clock_time(domain, tick) > time_ps) {
-        tick--;
-    }
-    while (clock_time(domain, tick + 1) <= time_ps) {
-        tick++;
-    }
-    return tick;
-}
 
 const char *model_name(const model_t *model) {
     return model->peripheral.name;

@@ -71,9 +71,23 @@ typedef struct {
     double nominal_hz;    /* Frequency with perfect oscillators. */
     int64_t anchor_ps, anchor_tick;
 } clock_domain_t;
-/* The first picosecond of a tick, and the tick that a time lies in. */
-int64_t clock_time(const clock_domain_t *domain, int64_t tick);
-int64_t clock_tick(const clock_domain_t *domain, int64_t time_ps);
+/* The first picosecond of a tick, and the tick that a time lies in. What they round fits into an integer, and so needs
+ * no call of ceil() or floor(). */
+static inline int64_t clock_time(const clock_domain_t *domain, int64_t tick) {
+    const double since_ps = (double)(tick - domain->anchor_tick) * domain->period_ps;
+    const int64_t below_ps = (int64_t)since_ps;
+    return domain->anchor_ps + below_ps + ((double)below_ps < since_ps ? 1 : 0);
+}
+static inline int64_t clock_tick(const clock_domain_t *domain, int64_t time_ps) {
+    int64_t tick = domain->anchor_tick + (int64_t)((double)(time_ps - domain->anchor_ps) / domain->period_ps);
+    while (clock_time(domain, tick) > time_ps) {
+        tick--;
+    }
+    while (clock_time(domain, tick + 1) <= time_ps) {
+        tick++;
+    }
+    return tick;
+}
 
 typedef struct rcc rcc_t;
 typedef struct gpio gpio_t;

@@ -126,11 +126,8 @@ void tim_advance(tim_t *t, int64_t tick) {
     }
 }
 
-void tim_plan(tim_t *t) {
-    machine_cancel(t->model.machine, &t->event);
-    if (!tim_counting(t)) {
-        return;
-    }
+/* The tick of the next update or compare that somebody observes; INT64_MAX: there is none. */
+static int64_t next_observed(const tim_t *t) {
     const uint32_t dier = t->model.value[TIM_DIER / 4];
     const unsigned master_mode = tim_trgo_heard(t) ? tim_master_mode(t) : 0;
     const uint32_t channel_bits = tim_asks_at_update(t) ? 0x2u : 0x202u;
@@ -161,10 +158,14 @@ void tim_plan(tim_t *t) {
             later = true;
         }
     }
-    if ((update || later) && over < tick) {
-        tick = over;
-    }
-    if (tick != INT64_MAX) {
+    return (update || later) && over < tick ? over : tick;
+}
+
+void tim_plan(tim_t *t) {
+    const int64_t tick = tim_counting(t) ? next_observed(t) : INT64_MAX;
+    if (tick == INT64_MAX) {
+        machine_cancel(t->model.machine, &t->event);
+    } else {
         machine_schedule(t->model.machine, &t->event, clock_time(t->clock, tick));
     }
 }
