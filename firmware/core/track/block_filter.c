@@ -23,7 +23,37 @@
 #define MOVED       3.5f
 #define START_FIELD 5.0f /* Ambient field, and offset, uT. */
 
-static const float agilities[BLOCK_FILTERS][2] = {{0.03f, 0.06f}, {0.5f, 1.0f}, {2.0f, 4.0f}, {8.0f, 15.0f}};
+/* The last filter always has the greatest agility, the others have three neighbours of the rest. */
+static const float agilities[][2] = {{0.01f, 0.02f}, {0.05f, 0.08f}, {0.25f, 0.3f}, {0.5f, 1.0f},
+                                     {2.0f, 1.5f},   {2.0f, 4.0f},   {8.0f, 15.0f}};
+
+#define MOST      ((uint32_t)(sizeof agilities / sizeof agilities[0]) - 1u)
+#define FOLLOWERS (BLOCK_FILTERS - 1u)
+#define LIKELY    0.4f /* Probability of much agility from which on it is asked whether more is wanted, ... */
+#define CERTAIN   0.5f /* ... and of the least agile filter from which on it is asked whether less is enough. */
+
+/* Gives a filter an agility. Each of the followers has every third of them, in turn. */
+static void expect(block_filter_t *filter, uint32_t which) {
+    block_kalman_t *const one = &filter->filters[which == MOST ? FOLLOWERS : which % FOLLOWERS];
+    one->acceleration2 = agilities[which][0] * agilities[which][0];
+    one->turn2 = agilities[which][1] * agilities[which][1];
+}
+
+/* Lets the followers have the agilities next to the likeliest one: if that is likely to be the greatest of theirs or
+ * beyond, the filter with the least takes the next above them; if it is certain to be the least, the other way round.
+ * It goes on with what it knows. */
+static void follow(block_filter_t *filter) {
+    const block_kalman_t *const filters = filter->filters;
+    const uint32_t least = filter->least % FOLLOWERS, greatest = (filter->least + FOLLOWERS - 1u) % FOLLOWERS;
+    const float agile = filters[greatest].probability + filters[FOLLOWERS].probability;
+    if (agile > LIKELY && filter->least + FOLLOWERS < MOST) {
+        expect(filter, filter->least + FOLLOWERS);
+        filter->least++;
+    } else if (filters[least].probability > CERTAIN && filter->least > 0u) {
+        filter->least--;
+        expect(filter, filter->least);
+    }
+}
 
 void block_filter_init(block_filter_t *filter, const loop_t *coils, uint32_t count, float noise_uT) {
     memset(filter, 0, sizeof *filter);
@@ -31,10 +61,6 @@ void block_filter_init(block_filter_t *filter, const loop_t *coils, uint32_t cou
     filter->count = count;
     filter->measure.noise_uT = noise_uT;
     filter->refused = BLOCK_FILTER_REFUSALS;
-    for (uint32_t k = 0; k < BLOCK_FILTERS; k++) {
-        filter->filters[k].acceleration2 = agilities[k][0] * agilities[k][0];
-        filter->filters[k].turn2 = agilities[k][1] * agilities[k][1];
-    }
 }
 
 void block_filter_coils(block_filter_t *filter, const loop_t *coils, uint32_t count) {
@@ -54,7 +80,9 @@ void block_filter_begin(block_filter_t *filter, const block_state_t *state,
         one->state = *state;
         memcpy(one->covariance, covariance, sizeof one->covariance);
         one->probability = 1.0f / (float)BLOCK_FILTERS;
+        expect(filter, k == FOLLOWERS ? MOST : k);
     }
+    filter->least = 0;
     filter->kept = false;
     filter->best = 0;
     filter->refused = 0;
@@ -143,6 +171,7 @@ void block_filter_predict(block_filter_t *filter, float seconds) {
     filter->unmixed_s += seconds;
     if (filter->unmixed_s >= MIX_S) {
         const float change = (1.0f - exponential(-filter->unmixed_s / CHANGE_S)) / (float)(BLOCK_FILTERS - 1u);
+        follow(filter);
         block_mix(filter->filters, filter->best, change);
         filter->unmixed_s = 0.0f;
     }

@@ -13,9 +13,10 @@
  * that no filter could believe. Until then blocks are predicted over.
  *
  * Method. A bank of BLOCK_FILTERS Kalman filters that differ in the agility they expect: white acceleration, of
- * position and of turn. Each block is linearised once, at the prediction of the likeliest filter: nine observed numbers
- * (position, attitude, ambient field at the sensor) with their information. Each filter takes them, or refuses them by
- * its gate. The filters are mixed every 12 ms, and what they say together is output (block_mix.h).
+ * position and of turn. One has the greatest of seven agilities, the others those next to the likeliest one. Each block
+ * is linearised once, at the prediction of the likeliest filter: nine observed numbers (position, attitude, ambient
+ * field at the sensor) with their information. Each filter takes them, or refuses them by its gate. The filters are
+ * mixed every 12 ms, and what they say together is output (block_mix.h).
  *
  * Units: uT, m, rad, s. Attitudes are quaternions x, y, z, w with B_site = R B_sensor; turns are in the site's frame.
  *
@@ -74,6 +75,7 @@ typedef struct {
     const loop_t *coils;
     uint32_t count;   /* Coils. */
     uint32_t best;    /* The likeliest filter. */
+    uint32_t least;   /* Which agility is the least that a filter has. */
     float unmixed_s;  /* Time since the filters were mixed. */
     uint32_t refused; /* Blocks in a row that all filters refused. */
     float chi_square; /* Chi-square of the last block that was taken, and its degrees of freedom. */

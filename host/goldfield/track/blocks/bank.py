@@ -23,6 +23,7 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from goldfield.field import FieldModel
 from goldfield.locate.chances import chdtri
@@ -31,8 +32,17 @@ from goldfield.track.blocks.state import AMBIENT, OFFSET, RATE, SIZE, VELOCITY, 
 from goldfield.track.blocks.update import Reference, observed, reference, taken_by
 from goldfield.types import FloatArray
 
-AGILITIES: FloatArray = np.array([[0.03, 0.06], [0.5, 1.0], [2.0, 4.0], [8.0, 15.0]])
-"""Agilities of acceleration and turn, m/s^2 and rad/s^2 per root hertz, one row a filter."""
+AGILITIES: FloatArray = np.array(
+    [[0.01, 0.02], [0.05, 0.08], [0.25, 0.3], [0.5, 1.0], [2.0, 1.5], [2.0, 4.0], [8.0, 15.0]]
+)
+"""Agilities of acceleration and turn, m/s^2 and rad/s^2 per root hertz."""
+
+FILTERS = 4
+"""Filters of a bank at most: the last has the greatest agility, the others those that are next to the likeliest one."""
+
+LIKELY, CERTAIN = 0.4, 0.5
+"""Probability of the two most agile filters from which on it is asked whether more agility is wanted, and of the least
+agile one from which on it is asked whether less is enough."""
 
 KEPT_S = 0.5
 """Mean time for which a sensor keeps its agility."""
@@ -124,6 +134,7 @@ class Bank:
     ----------
     model : FieldModel
     agilities : ndarray, shape (k, 2)
+        The last is the greatest.
 
     Attributes
     ----------
@@ -134,9 +145,11 @@ class Bank:
     """
 
     def __init__(self, model: FieldModel, agilities: FloatArray = AGILITIES) -> None:
-        self._model, self._agilities = model, agilities
+        self._model, self._all = model, agilities
         self.mismatch, self.refused = 0.0, 0
-        self._probability = np.full(len(agilities), 1.0 / len(agilities))
+        self._count = min(len(agilities), FILTERS)
+        self._least = 0
+        self._probability = np.full(self._count, 1.0 / self._count)
         self._unmixed_s = 0.0
         self._merged: Estimate | None = None
         self._added: dict[float, FloatArray] = {}
@@ -147,7 +160,8 @@ class Bank:
 
     def resume(self, known: Estimate) -> None:
         """Begin a track with a motion that is known so well, at the middle of a block."""
-        count, motion = len(self._agilities), known.motion
+        count, motion = self._count, known.motion
+        self._least = 0
         self._motion = Motion(
             np.tile(motion.position_m, (count, 1)),
             np.tile(motion.rotation, (count, 1, 1)),
@@ -159,6 +173,11 @@ class Bank:
         self._covariance = np.tile(known.covariance, (count, 1, 1))
         self._probability[:] = 1.0 / count
         self.mismatch, self.refused, self._unmixed_s, self._merged = 0.0, 0, 0.0, None
+
+    def expect(self, agility: FloatArray) -> None:
+        """Let the filters have the agilities next to one that is known, as `Bank.agility` tells it."""
+        nearest = int(np.searchsorted(self._all[:, 0], agility[0]))
+        self._least = min(max(nearest - 1, 0), len(self._all) - self._count)
 
     def update(self, form: NormalForm, seconds: float, around: Reference | None = None) -> bool:
         """Go on by some seconds to the middle of a block and take it; False if all filters refuse it.
@@ -200,9 +219,29 @@ class Bank:
         self._motion, transition = onward(self._motion, seconds)
         self._covariance = transition @ self._covariance @ transition.swapaxes(1, 2) + self._noise(seconds)
 
+    @property
+    def _which(self) -> NDArray[np.intp]:
+        """Which agilities the filters have, shape (k,): all but the last have every (k - 1)-th of the rest, in turn."""
+        followers = self._count - 1
+        return np.append(self._least + (np.arange(followers) - self._least) % followers, len(self._all) - 1)
+
+    def _follow(self) -> None:
+        """Let all filters but the last have the agilities next to the likeliest one.
+
+        If that is likely to be the greatest of theirs or beyond, the filter with the least takes the next above them;
+        if it is certain to be the least, the other way round. It goes on with what it knows.
+        """
+        order = np.argsort(self._which)  # by their agility
+        probability, above = self._probability[order], self._least + self._count - 1
+        if probability[-2:].sum() > LIKELY and above < len(self._all) - 1:
+            self._least += 1
+        elif probability[0] > CERTAIN and self._least > 0:
+            self._least -= 1
+
     def _mix(self) -> None:
         """Let the sensor change its agility: each filter goes on from what all of them believe."""
-        count = len(self._agilities)
+        self._follow()
+        count = self._count
         changes = (1.0 - math.exp(-self._unmixed_s / KEPT_S)) / max(count - 1, 1)
         self._unmixed_s = 0.0
         joint = (changes + (1.0 - count * changes) * np.eye(count)) * self._probability
@@ -220,15 +259,15 @@ class Bank:
     @property
     def agility(self) -> FloatArray:
         """The agility that the sensor seems to have, shape (2,), in the units of `AGILITIES`."""
-        return np.asarray(np.sqrt(self._probability @ self._agilities**2))
+        return np.asarray(np.sqrt(self._probability @ self._all[self._which] ** 2))
 
     def _noise(self, seconds: float) -> FloatArray:
         """Return what time adds to the covariances; blocks mostly come at the same distance."""
         if seconds not in self._added:
             if len(self._added) > REMEMBERED:
                 self._added.clear()
-            self._added[seconds] = added(self._agilities, seconds)
-        return self._added[seconds]
+            self._added[seconds] = added(self._all, seconds)
+        return self._added[seconds][self._which]
 
     def output(self, seconds: float = 0.0) -> Estimate:
         """Return what is believed of the moment so many seconds after the middle of the last block."""
@@ -238,7 +277,7 @@ class Bank:
         if not seconds:
             return merged
         motion, transition = onward(merged.motion, seconds)
-        noise = (self._probability @ self._noise(seconds).reshape(len(self._agilities), -1)).reshape(SIZE, SIZE)
+        noise = (self._probability @ self._noise(seconds).reshape(self._count, -1)).reshape(SIZE, SIZE)
         return Estimate(motion, transition @ merged.covariance @ transition.T + noise)
 
     def _merge(self) -> Estimate:

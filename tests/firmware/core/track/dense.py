@@ -16,7 +16,7 @@ from scipy.special import ellipe, ellipk
 from goldfield.types import FloatArray
 
 CHIP_S = 0.1 / 1023
-AGILITIES = ((0.03, 0.06), (0.5, 1.0), (2.0, 4.0), (8.0, 15.0))
+AGILITIES = ((0.01, 0.02), (0.05, 0.08), (0.25, 0.3), (0.5, 1.0), (2.0, 1.5), (2.0, 4.0), (8.0, 15.0))
 
 
 @dataclass(frozen=True)
@@ -174,11 +174,12 @@ def whitened_step(step: FloatArray, covariance: FloatArray) -> float:
 
 @dataclass(frozen=True)
 class Model:
-    """One filter of a bank."""
+    """One filter of a bank, and the number of its agility."""
 
     state: State
     covariance: FloatArray
     probability: float
+    agility: int
 
 
 def combined(models: list[Model], weights: FloatArray, best: State) -> tuple[State, FloatArray]:
@@ -196,13 +197,25 @@ def likeliest(models: list[Model]) -> Model:
     return max(models, key=lambda model: model.probability)
 
 
+def followed(models: list[Model]) -> list[Model]:
+    """Return the filters with agilities that have the likeliest one amid them; the greatest is always one of them."""
+    slow, _, quick, quickest = sorted(models, key=lambda model: model.agility)
+    gone, come = slow.agility, slow.agility
+    if quick.probability + quickest.probability > 0.4 and quick.agility < 5:
+        come = quick.agility + 1
+    elif slow.probability > 0.5 and slow.agility > 0:
+        gone, come = quick.agility, slow.agility - 1
+    return [replace(model, agility=come) if model.agility == gone else model for model in models]
+
+
 def mixed(models: list[Model], seconds: float) -> list[Model]:
-    """Return the filters after mixing."""
+    """Return the filters after mixing, those with agilities next to the likeliest one."""
+    models = followed(models)
     change = (1.0 - np.exp(-seconds / 0.5)) / 3.0
     best, result = likeliest(models).state, []
     for j in range(4):
         shares = np.array([m.probability * (1.0 - 3.0 * change if j == k else change) for k, m in enumerate(models)])
-        result.append(Model(*combined(models, shares / shares.sum(), best), float(shares.sum())))
+        result.append(Model(*combined(models, shares / shares.sum(), best), float(shares.sum()), models[j].agility))
     return result
 
 

@@ -15,6 +15,8 @@ from goldfield.types import Block, Status
 from goldfield.view.records import json_line, pose_record
 from tests.bench.locate_trials import prigge_cube, site_of
 from tests.bench.motion_trials import Room, circling
+from tests.bench.rate_ways import follow
+from tests.bench.rate_world import World, motion_of
 from tests.host.track.blocks.flights import Stream, drone, hand, still, streamed
 
 SETTLED_S = 0.15
@@ -334,3 +336,12 @@ def test_protection_levels_hold_the_errors_of_fast_motion(name):
     assert len(poses) > 150
     assert (np.linalg.norm(moved, axis=1) < [pose.protection_m for pose in poses]).all()
     assert np.median([pose.protection_m for pose in poses]) < 0.05
+
+
+def test_a_smooth_manoeuvre_draws_no_pose_that_is_called_ok():
+    """A filter that expects less agility falls behind for a while: with no other near it, it was believed."""
+    site = prigge_cube(2e-8)
+    track = World(site).motion_track(motion_of("0.5 m/s, 0.5 rad/s", 8), 1.6, np.random.default_rng([8, 10]), 2e-8)
+    errors = follow(track, BlockFilter(site)).after(0.5)
+    assert errors.share_ok > 0.99
+    assert not errors.unsaid.any()

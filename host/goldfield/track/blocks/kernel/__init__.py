@@ -101,6 +101,7 @@ class CBank:
         """Return a bank in NumPy that goes on with the track: for blocks that this one does not serve."""
         bank = Bank(self._model)
         bank.resume(self.output())
+        bank.expect(self.agility)
         bank.mismatch, bank.refused = self.mismatch, self.refused
         return bank
 
