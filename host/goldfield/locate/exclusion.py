@@ -13,6 +13,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from goldfield.locate import kernel
 from goldfield.locate.constellation import ROBUST_MODEL_ERROR, ROUGH_TOLERANCE, Constellation
 from goldfield.locate.fit import Fit, Measurements, fit_pose, stacked
 from goldfield.locate.solutions import nowhere
@@ -29,6 +30,20 @@ CLEAR = 25.0
 
 ROUGH_ITERATIONS, FINAL_ITERATIONS = 15, 120
 """The most evaluations of a fit with model error, which compares the subsets, and of one without."""
+
+FINAL_TOLERANCE = 1e-6
+"""As `fit.fit_pose` has it."""
+
+_HOW = {
+    "model_error": ROBUST_MODEL_ERROR,
+    "rough_iterations": ROUGH_ITERATIONS,
+    "rough_tolerance": ROUGH_TOLERANCE,
+    "final_iterations": FINAL_ITERATIONS,
+    "final_tolerance": FINAL_TOLERANCE,
+    "pool": POOL,
+    "clear_cost": CLEAR,
+}
+"""What the kernel in C is told of the above."""
 
 SUBSET_EVALUATIONS = 600
 """Evaluations of the search of a subset's pose, where no subset fits the poses that are known."""
@@ -88,7 +103,7 @@ def searched_without_one(constellation: Constellation, measurements: Measurement
     if found is None:
         return ones
     best = _rough(constellation, thinned, found[0][:, 0], found[1][:, 0])
-    return _ended(constellation, thinned, _better_from(constellation, thinned, best, ones.fit), ones.left_out)
+    return _compared(constellation, thinned, best, ones.fit, ones.left_out)
 
 
 def _without(
@@ -108,7 +123,7 @@ def _without(
         best = _solved(constellation, measurements, left_out)
     else:
         best = nowhere(count)
-    return _ended(constellation, thinned, _better_from(constellation, thinned, best, starts), left_out)
+    return _compared(constellation, thinned, best, starts, left_out)
 
 
 def _thinned(measurements: Measurements, left_out: NDArray[np.intp]) -> Measurements:
@@ -119,24 +134,47 @@ def _thinned(measurements: Measurements, left_out: NDArray[np.intp]) -> Measurem
     return measurements.take(np.zeros(count, dtype=np.intp)).without(mask)
 
 
-def _ended(constellation: Constellation, thinned: Measurements, best: Fit, left_out: NDArray[np.intp]) -> Subsets:
-    """Let the subsets share their best poses, and end those fits that matter.
+def _compared(
+    constellation: Constellation, thinned: Measurements, best: Fit, starts: Fit, left_out: NDArray[np.intp]
+) -> Subsets:
+    """Fit the subsets from their starts and from each other's best poses, and end those fits that matter.
 
     Rough fits compare the subsets. Only those that may still cost as little as the best are fitted to the end, because
     a cost with model error is less than one without; the others keep their rough pose and cost. If no subset fits even
-    with model error all keep it.
+    with model error all keep it. The kernel in C does it where it knows the coils; the NumPy code computes the same.
     """
-    count = len(left_out)
-    best = _better_from(constellation, thinned, best, best.take(np.tile(_order(best)[:POOL], count)))
-    hopeless = not (best.cost < constellation.unfit).any()
-    if not hopeless:
-        done = _order(best)[:POOL]
-        _finish(constellation, thinned, best, done)
-        likely = best.cost < best.cost[done].min() + CLEAR
-        likely[done] = False
-        _finish(constellation, thinned, best, np.flatnonzero(likely))
+    quick = kernel.of(constellation.model)
+    if quick is not None and thinned.levers is None and len(left_out) <= kernel.MOST_SUBSETS:
+        hopeless, evaluations = quick.fit_subsets(
+            thinned.field_T,
+            thinned.sigma_T,
+            thinned.noise_T,
+            best.parts(),
+            starts.position_m,
+            starts.rotation,
+            errors=thinned.errors,
+            most_evaluations=thinned.affordable_in_all(len(constellation.model)),
+            unfit_cost=constellation.unfit,
+            **_HOW,
+        )
+        thinned.spend(evaluations, len(constellation.model))
+    else:
+        best = _better_from(constellation, thinned, best, starts)
+        best = _better_from(constellation, thinned, best, best.take(np.tile(_order(best)[:POOL], len(left_out))))
+        hopeless = not (best.cost < constellation.unfit).any()
+        if not hopeless:
+            _end(constellation, thinned, best)
     order = _order(best)
     return Subsets(left_out[order], best.take(order), hopeless)
+
+
+def _end(constellation: Constellation, thinned: Measurements, best: Fit) -> None:
+    """End the fits that matter, in place."""
+    done = _order(best)[:POOL]
+    _finish(constellation, thinned, best, done)
+    likely = best.cost < best.cost[done].min() + CLEAR
+    likely[done] = False
+    _finish(constellation, thinned, best, np.flatnonzero(likely))
 
 
 def _order(fits: Fit) -> NDArray[np.intp]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +23,9 @@ MOST_ROUNDS = 4
 SETTLED = 1e-2
 """With errors of the site the components are whitened anew around what a fit has found, at most so often in all, and as
 long as the pose has moved by more than so many standard deviations, squared."""
+
+UNBOUNDED = 2**62
+"""Evaluations that epochs without a budget may take: more than can be done."""
 
 
 @dataclass(frozen=True)
@@ -56,16 +58,17 @@ class Fit:
 
     def put(self, rows: NDArray[np.intp], other: Fit) -> None:
         """Replace some of the poses, in place."""
-        for mine, new in zip(self._parts(), other._parts(), strict=True):
+        for mine, new in zip(self.parts(), other.parts(), strict=True):
             mine[rows] = new
 
-    def _parts(self) -> tuple[NDArray[Any], ...]:
+    def parts(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, NDArray[np.bool_]]:
+        """Return the attributes, in their order."""
         return self.position_m, self.rotation, self.cost, self.information, self.converged
 
 
 def stacked(fits: Sequence[Fit]) -> Fit:
     """Put poses one after another."""
-    return Fit(*(np.concatenate(parts) for parts in zip(*(fit._parts() for fit in fits), strict=True)))
+    return Fit(*(np.concatenate(parts) for parts in zip(*(fit.parts() for fit in fits), strict=True)))
 
 
 class Measurements:
@@ -114,6 +117,10 @@ class Measurements:
     def within(self, budget: Budget) -> Measurements:
         """Return the same with a budget."""
         return Measurements(self.field_T, self.sigma_T, self.noise_T, self.errors, budget)
+
+    def affordable_in_all(self, coils: int) -> int:
+        """Return how many evaluations of so many coils all epochs together may take."""
+        return UNBOUNDED if self.budget is None else self.budget.evaluations(coils)
 
     def affordable(self, coils: int, most: int) -> int:
         """Return how many evaluations of so many coils each epoch may take, at most as many as are asked for."""

@@ -19,7 +19,7 @@ from tests.bench import locate_trials as bench
 def counted(monkeypatch):
     """The fields of single coils that the kernel has evaluated in fits, starts and searches, as a list of numbers."""
     found = []
-    for name in ("starts", "fit", "fit_distorted", "search"):
+    for name in ("starts", "fit", "fit_subsets", "fit_distorted", "search"):
         whole = getattr(kernel.Kernel, name)
 
         def noting(self, *arguments, whole=whole, **options):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,11 +12,12 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from goldfield.field import FieldModel
-from goldfield.locate import Locator, kernel
+from goldfield.locate import Locator, exclusion, kernel
+from goldfield.locate.budget import Budget
 from goldfield.locate.constellation import Constellation
 from goldfield.locate.distorted import fit_distorted
 from goldfield.locate.fault_statistics import DISTORTIONS, alarm, fault_statistics
-from goldfield.locate.fit import Fit, Measurements
+from goldfield.locate.fit import Fit, Measurements, fit_pose
 from goldfield.locate.site_errors import errors_of
 from goldfield.locate.uncertainty import second_order_covariance
 from goldfield.site import HalfSpace
@@ -145,6 +147,48 @@ def test_fits_of_a_distorted_sensor_agree_and_find_it(numpy_only, which):
     np.testing.assert_allclose(quick.distortion, slow.distortion, atol=1e-4)
     np.testing.assert_allclose(slow.distortion[0], distortion, atol=0.02)
     assert np.linalg.norm(quick.position_m - run.position_m) < 0.01
+
+
+@pytest.mark.parametrize("starts", [0, 1, 2])
+@pytest.mark.parametrize(("fault", "exact", "most"), [("dead", True, None), ("dead", False, 900), ("all", True, None)])
+def test_subsets_are_compared_alike(monkeypatch, starts, fault, exact, most):
+    """One beacon dead, or all fields in other places: then all is hopeless. The errors of a site count, and a budget.
+
+    The single fits are the kernel's in both cases.
+    """
+    rng = np.random.default_rng(66)
+    site = random_room(rng, 8)
+    run, measurements = measured(site, rng, 1)
+    model, everyone = FieldModel(site.beacons), np.arange(8)
+    field = run.field_T.copy()
+    if fault == "all":
+        field = field[:, rng.permutation(8)]
+    else:
+        field[:, 3] = run.sigma_T[0, 0] * rng.normal(size=3)
+    errors = None if exact else errors_of(site.beacons, replace(site.sensor, gain_sd=0.01, axis_sd_rad=0.01))
+    measurements = Measurements(field, run.sigma_T).with_errors(model, errors)
+    thinned = measurements.take(np.zeros(8, dtype=np.intp)).without(np.eye(8, dtype=bool))
+    place = run.position_m + 0.2 * rng.normal(size=(8 * (starts + 1), 3))
+    nothing = np.full(len(place), np.inf), np.zeros((len(place), 6, 6)), np.zeros(len(place), dtype=bool)
+    fits = Fit(place, np.repeat(run.rotation, len(place), axis=0), *nothing)
+
+    def compared():
+        budget = None if most is None else Budget(8)
+        if budget is not None:
+            budget.spend(budget.evaluations(8) - most, 8)
+        given = thinned if budget is None else thinned.within(budget)
+        best = fit_pose(model, given, place[:8], fits.rotation[:8], model_error=0.03, iterations=3, tolerance=1e-2)
+        found = exclusion._compared(Constellation(model), given, best, fits.take(np.arange(8, len(place))), everyone)
+        return found, None if budget is None else budget.evaluations(8)
+
+    quick, left = compared()
+    monkeypatch.setattr(exclusion, "kernel", SimpleNamespace(of=lambda _: None))
+    slow, left_slow = compared()
+    assert quick.hopeless is slow.hopeless is (fault == "all")
+    assert left == left_slow
+    np.testing.assert_array_equal(quick.left_out, slow.left_out)
+    for one, other in zip(quick.fit.parts(), slow.fit.parts(), strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 def test_starts_are_those_of_the_steps(numpy_only):

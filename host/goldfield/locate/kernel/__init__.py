@@ -11,74 +11,23 @@ from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
 
-import cffi
 import numpy as np
 from numpy.typing import NDArray
 
 from goldfield.field import FieldModel
 from goldfield.field.metal import MetalField
+from goldfield.locate.kernel.library import bytes_filled, ffi, filled, given, words_filled
 from goldfield.locate.site_errors import SiteErrors
 from goldfield.types import FloatArray
 
 MOST_COILS = 64
 """GF_MOST_COILS of kernel.h."""
 
-DECLARATIONS = """
-typedef struct {
-    double centre_m[3];
-    double radius_m;
-    size_t degree;
-    const double *sums;
-    size_t bodies;
-    double body_m[8][3];
-    const double *moment_A_m2;
-} gf_metal_t;
-typedef struct {
-    size_t count;
-    double centre_m[3][64];
-    double axis[3][64];
-    double moment_A_m2[64];
-    double radius_m[64];
-    double across[3];
-    const gf_metal_t *metal;
-} gf_coils_t;
-typedef struct {
-    double position_sd_m[64];
-    double axis_sd_rad[64];
-    double current_sd[64];
-    double gain_sd;
-    double sensor_axis_sd_rad;
-    double noise_shape[3][3];
-} gf_errors_t;
-void gf_evaluate(const gf_coils_t *, size_t, const double *, double *, double *);
-size_t gf_starts(const gf_coils_t *, size_t, const double *, const double *, double, double, double, double *,
-                 double *);
-size_t gf_fit(const gf_coils_t *, const gf_errors_t *, size_t, const double *, const double *, double, size_t, double,
-              double *, double *, double *, double *, uint8_t *);
-size_t gf_fit_distorted(const gf_coils_t *, size_t, const double *, const double *, double, const double *, size_t,
-                        const double *, size_t, double, double *, double *, double *, double *);
-void gf_search(const gf_coils_t *, size_t, const double *, const double *, double, const double *, size_t, double, bool,
-               double *, double *, uint8_t *, double *, uint32_t *);
-typedef struct {
-    double *drop;
-    int32_t *freedom;
-    double *scale;
-    double *separation_m;
-    double *separation_cov_m2;
-    double *distortion;
-    int32_t *distortion_freedom;
-} gf_fault_tables_t;
-void gf_faults(const gf_coils_t *, const gf_errors_t *, size_t, const double *, const double *, const double *,
-               const double *, double, double, const gf_fault_tables_t *);
-void gf_covariance(const gf_coils_t *, const gf_errors_t *, size_t, const double *, const double *, const double *,
-                   const double *, double, double, double, double *);
-"""
+MOST_SUBSETS = 128
+"""GF_MOST_SUBSETS of kernel.h."""
 
 _FAULT_TABLES = ("drop", "freedom", "scale", "separation_m", "separation_cov_m2", "distortion", "distortion_freedom")
 
-_ffi: Any = cffi.FFI()
-_ffi.cdef(DECLARATIONS)
-_DOUBLES = _ffi.typeof("double[]")
 _kernels: WeakKeyDictionary[FieldModel, Kernel] = WeakKeyDictionary()
 _declared: WeakKeyDictionary[SiteErrors, Any] = WeakKeyDictionary()
 
@@ -87,7 +36,7 @@ _declared: WeakKeyDictionary[SiteErrors, Any] = WeakKeyDictionary()
 def _library() -> Any | None:
     """Return the library that ``setup.py`` puts into the folder ``built`` here, None if there was no compiler."""
     path = Path(__file__).with_name("built") / "libgf_locate.so"
-    return _ffi.dlopen(str(path)) if path.exists() else None
+    return ffi.dlopen(str(path)) if path.exists() else None
 
 
 def of(model: FieldModel) -> Kernel | None:
@@ -123,7 +72,7 @@ class Kernel:
 
     def __init__(self, library: Any, model: FieldModel) -> None:
         self._library = library
-        self._coils = _ffi.new("gf_coils_t *")
+        self._coils = ffi.new("gf_coils_t *")
         self._coils.count = len(model)
         size = np.linalg.norm(model.moment_A_m2, axis=1)
         for name, values in (("centre_m", model.centre_m), ("axis", model.moment_A_m2 / size[:, None])):
@@ -141,7 +90,7 @@ class Kernel:
         shape = (*point_m.shape[1:], self._coils.count)
         field, gradient = np.empty((3, *shape)), np.empty((3, 3, *shape))
         points = point_m.reshape(3, -1).T
-        self._library.gf_evaluate(self._coils, len(points), _given(points), _filled(field), _filled(gradient))
+        self._library.gf_evaluate(self._coils, len(points), given(points), filled(field), filled(gradient))
         return field, gradient
 
     def starts(
@@ -166,13 +115,13 @@ class Kernel:
         evaluations = self._library.gf_starts(
             self._coils,
             len(field_T),
-            _given(field_T),
-            _given(sigma_T),
+            given(field_T),
+            given(sigma_T),
             range_error,
             magnitude_error,
             vector_error,
-            _filled(position),
-            _filled(rotation),
+            filled(position),
+            filled(rotation),
         )
         return position, rotation, int(evaluations)
 
@@ -196,18 +145,58 @@ class Kernel:
             self._coils,
             _errors(errors),
             count,
-            _given(field_T),
-            _given(sigma_T),
+            given(field_T),
+            given(sigma_T),
             model_error,
             iterations,
             tolerance,
-            _filled(position),
-            _filled(turn),
-            _filled(cost),
-            _filled(information),
-            _ffi.from_buffer("uint8_t[]", converged, require_writable=True),
+            filled(position),
+            filled(turn),
+            filled(cost),
+            filled(information),
+            bytes_filled(converged),
         )
         return position, turn, cost, information, converged, int(evaluations)
+
+    def fit_subsets(
+        self,
+        field_T: FloatArray,
+        sigma_T: FloatArray,
+        noise_T: FloatArray,
+        fits: tuple[FloatArray, FloatArray, FloatArray, FloatArray, NDArray[np.bool_]],
+        start_m: FloatArray,
+        start_rotation: FloatArray,
+        *,
+        errors: SiteErrors | None,
+        **options: float,
+    ) -> tuple[bool, int]:
+        """Compare subsets of one epoch's coils as `exclusion` does.
+
+        Parameters
+        ----------
+        fits : tuple of ndarray
+            Position, attitude, cost, information and convergence of rough fits, which are replaced in place.
+        start_m, start_rotation : ndarray, shapes (k, 3) and (k, 3, 3)
+            As many starts of each subset, one subset after another; there may be none.
+        options
+            The other members of ``gf_subsets_t``.
+
+        Returns
+        -------
+        hopeless : bool
+            True if no subset fits even with model error.
+        evaluations : int
+            How often the field was evaluated in all.
+        """
+        kept = [np.ascontiguousarray(part) for part in (field_T, sigma_T, noise_T, start_m, start_rotation)]
+        subsets, hopeless = ffi.new("gf_subsets_t *", options), ffi.new("bool *")
+        subsets.count, subsets.starts = len(field_T), len(start_m) // len(field_T)
+        for name, part in zip(("field_T", "sigma_T", "noise_T", "start_m", "start_rotation"), kept, strict=True):
+            setattr(subsets, name, given(part))
+        *numbers, converged = fits
+        out = ffi.new("gf_subset_fits_t *", (*map(filled, numbers), bytes_filled(converged)))
+        evaluations = self._library.gf_fit_subsets(self._coils, _errors(errors), subsets, out, hopeless)
+        return bool(hopeless[0]), int(evaluations)
 
     def fit_distorted(
         self,
@@ -232,18 +221,18 @@ class Kernel:
         evaluations = self._library.gf_fit_distorted(
             self._coils,
             count,
-            _given(field_T),
-            _given(sigma_T),
+            given(field_T),
+            given(sigma_T),
             model_error,
-            _given(fixed),
+            given(fixed),
             len(basis),
-            _given(basis),
+            given(basis),
             iterations,
             tolerance,
-            _filled(position),
-            _filled(turn),
-            _filled(cost),
-            _filled(distortion),
+            filled(position),
+            filled(turn),
+            filled(cost),
+            filled(distortion),
         )
         return position, turn, cost, distortion, int(evaluations)
 
@@ -288,18 +277,18 @@ class Kernel:
         self._library.gf_search(
             self._coils,
             count,
-            _given(field_T),
-            _given(sigma_T),
+            given(field_T),
+            given(sigma_T),
             model_error,
-            _given(half_space),
+            given(half_space),
             most_evaluations,
             hopeless_cost,
             at_any_cost,
-            _filled(position),
-            _filled(rotation),
-            _ffi.from_buffer("uint8_t[]", found, require_writable=True),
-            _filled(widening),
-            _ffi.from_buffer("uint32_t[]", evaluations, require_writable=True),
+            filled(position),
+            filled(rotation),
+            bytes_filled(found),
+            filled(widening),
+            words_filled(evaluations),
         )
         return position, rotation, found.astype(np.intp), widening, evaluations.astype(np.intp)
 
@@ -319,18 +308,17 @@ class Kernel:
         shapes = ((coils,), (coils,), (coils,), (coils, 3), (coils, 3, 3), (4,), (4,))
         kinds = (float, np.int32, float, float, float, float, np.int32)
         tables: list[NDArray[Any]] = [np.empty((count, *k), dtype=t) for k, t in zip(shapes, kinds, strict=True)]
-        out = _ffi.new("gf_fault_tables_t *")
+        out = ffi.new("gf_fault_tables_t *")
         for name, table in zip(_FAULT_TABLES, tables, strict=True):
-            kind = "int32_t[]" if table.dtype == np.int32 else "double[]"
-            setattr(out, name, _ffi.from_buffer(kind, table, require_writable=True))
+            setattr(out, name, filled(table) if table.dtype == np.float64 else words_filled(table))
         self._library.gf_faults(
             self._coils,
             _errors(errors),
             count,
-            _given(field_T),
-            _given(sigma_T),
-            _given(position_m),
-            _given(rotation),
+            given(field_T),
+            given(sigma_T),
+            given(position_m),
+            given(rotation),
             least_eigenvalue,
             least_share,
             out,
@@ -356,23 +344,23 @@ class Kernel:
             self._coils,
             _errors(errors),
             len(field_T),
-            _given(field_T),
-            _given(sigma_T),
-            _given(position_m),
-            _given(rotation),
+            given(field_T),
+            given(sigma_T),
+            given(position_m),
+            given(rotation),
             least_eigenvalue,
             free_m2,
             free_rad2,
-            _filled(covariance),
+            filled(covariance),
         )
         return covariance
 
 
 def _errors(errors: SiteErrors | None) -> Any:
     if errors is None:
-        return _ffi.NULL
+        return ffi.NULL
     if errors not in _declared:
-        declared = _ffi.new("gf_errors_t *")
+        declared = ffi.new("gf_errors_t *")
         for name in ("position_sd_m", "axis_sd_rad", "current_sd"):
             values = getattr(errors, name)
             getattr(declared, name)[0 : len(values)] = values.tolist()
@@ -385,19 +373,11 @@ def _errors(errors: SiteErrors | None) -> Any:
 
 def _metal(field: MetalField) -> tuple[Any, Any, Any]:
     """Return a ``gf_metal_t`` and the memory that it points to, which must live as long."""
-    metal, out = field.metal, _ffi.new("gf_metal_t *")
-    sums, moment = _given(field.sums), _given(field.moment_A_m2)
+    metal, out = field.metal, ffi.new("gf_metal_t *")
+    sums, moment = given(field.sums), given(field.moment_A_m2)
     out.centre_m[0:3] = metal.centre_m.tolist()
     out.radius_m, out.degree, out.bodies = metal.radius_m, metal.degree, len(metal.body_m)
     for row, place in zip(out.body_m, metal.body_m, strict=False):
         row[0:3] = place.tolist()
     out.sums, out.moment_A_m2 = sums, moment
     return out, sums, moment
-
-
-def _given(values: FloatArray) -> Any:
-    return _ffi.from_buffer(_DOUBLES, np.ascontiguousarray(values, dtype=np.float64))
-
-
-def _filled(values: FloatArray) -> Any:
-    return _ffi.from_buffer(_DOUBLES, values, require_writable=True)

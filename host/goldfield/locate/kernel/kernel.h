@@ -1,6 +1,6 @@
 /* Location in double precision: the hot path of goldfield.locate, one epoch after another without an interpreter.
- * gf_evaluate() is the field model itself. gf_starts() gives poses to start from, gf_fit() the fitted ones; gf_faults()
- * and gf_covariance() judge those.
+ * gf_evaluate() is the field model itself. gf_starts() gives poses to start from, gf_fit() the fitted ones, and
+ * gf_fit_subsets() those without some of the coils; gf_faults() and gf_covariance() judge them.
  *
  * Python calls the functions of this header through cffi (goldfield/locate/kernel/__init__.py). Each does what a NumPy
  * function of goldfield.locate does, which stays as its reference and as the fallback where this library is not built;
@@ -25,6 +25,10 @@
 
 /* Coils of one site; the wrapper leaves larger ones to NumPy. */
 #define GF_MOST_COILS 64
+
+/* Subsets that gf_fit_subsets() compares at once, and those of them that share their poses. */
+#define GF_MOST_SUBSETS 128
+#define GF_MOST_POOL    8
 
 /* The magnetic constant over 4 pi, T m/A (CODATA 2022, as SciPy gives it). */
 #define GF_MU0_OVER_4PI (1.25663706127e-6 / (4.0 * 3.14159265358979323846))
@@ -112,6 +116,42 @@ size_t gf_fit_distorted(const gf_coils_t *coils, size_t epochs, const double *fi
 void gf_search(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T, double model_error,
                const double half_space[4], size_t most_evaluations, double hopeless_cost, bool at_any_cost,
                double *position_m, double *rotation, uint8_t *found, double *widening, uint32_t *evaluations);
+
+/* One epoch without each of some subsets of its coils, and how they are fitted (goldfield.locate.exclusion). */
+typedef struct {
+    size_t count;          /* of subsets, at most GF_MOST_SUBSETS */
+    const double *field_T; /* count x n x 3, NaN for what a subset lacks */
+    const double *sigma_T; /* count x n: of the rough fits, */
+    const double *noise_T; /* and of those to the end, with errors */
+    size_t starts;         /* of each subset beside the pose that is known */
+    const double *start_m; /* count x starts x 3 */
+    const double *start_rotation;
+    double model_error; /* of the rough fits */
+    size_t rough_iterations;
+    double rough_tolerance;
+    size_t final_iterations;
+    double final_tolerance;
+    size_t pool;       /* best subsets whose poses are starts for all the others, at most GF_MOST_POOL */
+    double clear_cost; /* subsets are fitted to the end that cost at most so much more than the best, */
+    double unfit_cost; /* and none if all cost more than this even with model error */
+    size_t most_evaluations;
+} gf_subsets_t;
+
+/* The fits of all subsets; the information and convergence of what was fitted last. */
+typedef struct {
+    double *position_m;  /* count x 3 */
+    double *rotation;    /* count x 3 x 3 */
+    double *cost;        /* count */
+    double *information; /* count x 6 x 6 */
+    uint8_t *converged;  /* count */
+} gf_subset_fits_t;
+
+/* Fit each subset roughly from the best of its starts, then from the best poses of all; end the fits that matter
+ * (goldfield.locate.exclusion). In and out: fits, which begin as rough ones, or at an infinite cost. Out: hopeless,
+ * whether nothing costs less than unfit_cost. Bound: most_evaluations and 1 + starts + pool evaluations of the field a
+ * subset. Returns how many it took. */
+size_t gf_fit_subsets(const gf_coils_t *coils, const gf_errors_t *errors, const gf_subsets_t *given,
+                      const gf_subset_fits_t *fits, bool *hopeless);
 
 /* Where gf_faults() writes. */
 typedef struct {

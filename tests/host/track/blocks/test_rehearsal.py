@@ -33,7 +33,7 @@ track = World(site).motion_track(motion_of("1 m/s, 1 rad/s", 1), 0.15, np.random
 
 
 def read():
-    return len(kernel._ffi._parsed_types) + len(library.ffi._parsed_types)
+    return len(kernel.library.ffi._parsed_types) + len(library.ffi._parsed_types)
 
 
 if "rehearsed" in sys.argv:
