@@ -85,8 +85,9 @@ def _many(shape: FloatArray, value: FloatArray) -> FloatArray:
     """Return what `gammaincc` returns, by SciPy."""
     from scipy import special  # heavy: not before there is much to compute
 
-    for freedom in np.unique(2.0 * shape):
-        _whole(float(freedom))
+    twice = 2.0 * shape
+    for freedom in twice[~((twice >= 1.0) & (twice == np.floor(twice)))][:1]:
+        _whole(float(freedom))  # which says what is wrong with it
     return np.asarray(special.gammaincc(shape, value))
 
 

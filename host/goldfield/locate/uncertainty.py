@@ -47,15 +47,18 @@ def root_covariance(information: FloatArray) -> tuple[FloatArray, FloatArray]:
     free : ndarray, shape (e, 6, 6)
         Covariance of the unobservable directions: zero if all is observable.
     """
-    # Inside a wire nothing is finite. It tells nothing: a decomposition of what is no number may not come to an end.
-    information = np.where(np.isfinite(information).all(axis=(1, 2), keepdims=True), information, 0.0)
+    if not np.isfinite(information).all():
+        # Inside a wire nothing is finite. It tells nothing: a decomposition of what is no number may never end.
+        information = np.where(np.isfinite(information).all(axis=(1, 2), keepdims=True), information, 0.0)
     scale = 1.0 / np.sqrt(np.einsum("ekk->ek", information) + 1e-300)
     eigenvalue, vector = np.linalg.eigh(information * scale[:, :, None] * scale[:, None, :])
     seen = eigenvalue > UNOBSERVABLE
     axes = scale[:, :, None] * vector
-    root = axes * np.where(seen, 1.0 / np.sqrt(np.where(seen, eigenvalue, 1.0)), 0.0)[:, None, :]
     free = np.zeros_like(information)
-    if not seen.all():
+    if seen.all():
+        root = axes * (1.0 / np.sqrt(eigenvalue))[:, None, :]
+    else:
+        root = axes * np.where(seen, 1.0 / np.sqrt(np.where(seen, eigenvalue, 1.0)), 0.0)[:, None, :]
         for e, k in zip(*np.nonzero(~seen), strict=True):
             direction = axes[e, :, k] / np.linalg.norm(axes[e, :, k])
             variance = np.repeat([FREE_POSITION_M2, FREE_TURN_RAD2], 3)

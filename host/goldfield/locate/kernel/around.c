@@ -74,14 +74,15 @@ void gf_look(const gf_coils_t *coils, const gf_errors_t *errors, const gf_around
 
 void gf_look_around(const gf_coils_t *coils, const gf_errors_t *errors, const double *field_T, const double *sigma_T,
                     const gf_pose_t *pose, gf_around_t *out) {
+    const size_t rows = 3 * coils->count;
     if (errors == NULL) {
-        memset(out->whitening.shared, 0, sizeof out->whitening.shared);
+        memset(out->whitening.shared, 0, rows * sizeof out->whitening.shared[0]);
         out->whitening.is_shared = false;
         gf_weights(coils->count, field_T, sigma_T, 0.0, out->whitening.weight);
     } else {
         gf_whiten(coils, errors, field_T, sigma_T, pose, &out->whitening);
     }
     gf_look(coils, errors, out, pose, &out->components);
-    memcpy(out->weighted, out->components.slope, sizeof out->weighted);
+    memcpy(out->weighted, out->components.slope, rows * sizeof out->weighted[0]);
     gf_unshare_slopes(coils->count, &out->whitening, out->weighted);
 }

@@ -214,14 +214,20 @@ static void distort_all(const gf_coils_t *coils, const gf_errors_t *errors, cons
     const double *const weight = around->whitening.weight;
     double whole[3 * GF_MOST_COILS]; /* as if all components had been measured: a distortion mixes them */
     gf_components_t plain;           /* weighted, not whitened: the components of one beacon have one weight */
+    const double *value = around->components.value;
+    bool complete = errors == NULL;
     for (size_t c = 0; c < 3 * n; ++c) {
         const double *const of_one = weight + 3 * (c / 3);
         whole[c] = fmax(of_one[0], fmax(of_one[1], of_one[2]));
+        complete = complete && whole[c] <= weight[c];
     }
-    gf_components(coils, pose, whole, &plain);
+    if (!complete) {
+        gf_components(coils, pose, whole, &plain);
+        value = plain.value;
+    }
     for (size_t i = 0; i < n; ++i) {
         double one[3][DISTORTIONS];
-        distort(plain.value + 3 * i, weight + 3 * i, one);
+        distort(value + 3 * i, weight + 3 * i, one);
         for (size_t c = 0; c < 3; ++c) {
             for (size_t k = 0; k < DISTORTIONS; ++k) {
                 column[k][3 * i + c] = one[c][k];
@@ -235,7 +241,7 @@ static void distort_all(const gf_coils_t *coils, const gf_errors_t *errors, cons
 
 /* The statistics of the sensor from all residuals, its columns and tangents. */
 static void distortions_of(size_t components, const double *residual, double column[DISTORTIONS][3 * GF_MOST_COILS],
-                           double tangent[][6], const double shared[][GF_SHARED], double least_share, double drop[4],
+                           double tangent[][6], const gf_whitening_t *whitening, double least_share, double drop[4],
                            int32_t freedom[4]) {
     double shown[DISTORTIONS][DISTORTIONS];
     double explained[DISTORTIONS][6] = {{0.0}};
@@ -247,12 +253,18 @@ static void distortions_of(size_t components, const double *residual, double col
             along[k] += column[k][c] * residual[c];
             for (size_t l = 0; l < 6; ++l) {
                 explained[k][l] += column[k][c] * tangent[c][l];
-                spread[k][l] += column[k][c] * shared[c][l];
+            }
+        }
+    }
+    for (size_t k = 0; k < DISTORTIONS && whitening->is_shared; ++k) {
+        for (size_t c = 0; c < components; ++c) {
+            for (size_t l = 0; l < GF_SHARED; ++l) {
+                spread[k][l] += column[k][c] * whitening->shared[c][l];
             }
         }
     }
     for (size_t k = 0; k < DISTORTIONS; ++k) {
-        for (size_t l = 0; l < DISTORTIONS; ++l) {
+        for (size_t l = 0; l <= k; ++l) {
             double sum = 0.0;
             for (size_t c = 0; c < components; ++c) {
                 sum += column[k][c] * column[l][c];
@@ -260,15 +272,11 @@ static void distortions_of(size_t components, const double *residual, double col
             for (size_t m = 0; m < GF_SHARED; ++m) {
                 sum -= spread[k][m] * spread[l][m];
             }
-            shown[k][l] = sum;
-        }
-        square[k] = shown[k][k];
-    }
-    for (size_t k = 0; k < DISTORTIONS; ++k) {
-        for (size_t l = 0; l < DISTORTIONS; ++l) {
+            square[k] = sum; /* at last that with itself */
             for (size_t m = 0; m < 6; ++m) {
-                shown[k][l] -= explained[k][m] * explained[l][m];
+                sum -= explained[k][m] * explained[l][m];
             }
+            shown[k][l] = shown[l][k] = sum;
         }
     }
     drop[3] = largest_of_axes((const double(*)[DISTORTIONS])shown, along, square[0], least_share, &freedom[3]);
@@ -341,7 +349,7 @@ void gf_faults(const gf_coils_t *coils, const gf_errors_t *errors, size_t epochs
         }
         double column[DISTORTIONS][3 * GF_MOST_COILS];
         distort_all(coils, errors, &pose, &around, column);
-        distortions_of(3 * n, residual, column, around.weighted, (const double(*)[GF_SHARED])around.whitening.shared,
-                       least_share, out->distortion + 4 * e, out->distortion_freedom + 4 * e);
+        distortions_of(3 * n, residual, column, around.weighted, &around.whitening, least_share,
+                       out->distortion + 4 * e, out->distortion_freedom + 4 * e);
     }
 }
