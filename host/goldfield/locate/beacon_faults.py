@@ -13,9 +13,8 @@ import numpy as np
 from goldfield.field import FieldModel
 from goldfield.locate import kernel, sentences
 from goldfield.locate.chances import gammaincc
-from goldfield.locate.fit import Fit, Measurements, whitened_jacobian, whitened_residual
+from goldfield.locate.fit import Fit, Measurements, sensor_jacobian
 from goldfield.locate.uncertainty import gauss_newton_covariance
-from goldfield.locate.whitening import Independent
 from goldfield.types import Explanation, Finding, FloatArray
 
 ADMITTED = 1e-3
@@ -52,17 +51,16 @@ def beacon_finding(
     residual : float
         The beacon's normalised residual at this pose.
     """
-    rest, modelled = (part.reshape(3, -1)[:, row] for part in _of_one(model, measurements, fit))
-    measured = rest + modelled
-    weight = measurements.inverse_sigma()
-    heard = np.flatnonzero(weight[0, :, row] > 0.0)
-    slope = whitened_jacobian(model, fit.position_m, fit.rotation, Independent(weight), measurements.levers).reshape(
-        6, 3, -1
-    )[:, heard, row]
-    spread = slope.T @ gauss_newton_covariance(fit.information)[0] @ slope
+    heard = np.flatnonzero(measurements.measured[0, row])
+    weight = 1.0 / measurements.sigma_T[0, row]
+    jacobian, read = sensor_jacobian(model, fit.position_m, fit.rotation, measurements.levers)
+    measured, modelled = weight * measurements.field_T[0, row, heard], weight * read[0, heard, row]
+    pose_covariance = gauss_newton_covariance(fit.information)[0]
+    slope = weight * jacobian[0, :, heard, row]
+    spread = slope @ pose_covariance @ slope.T
     # Along the principal axes of the spread every sum is one of its parts. On the beacon's wire nothing is a number.
     variance, axes = np.linalg.eigh(spread if np.isfinite(spread).all() else np.zeros_like(spread))
-    columns = (measured[heard] @ axes, modelled[heard] @ axes, variance)
+    columns = (measured @ axes, modelled @ axes, variance)
     parts = list(zip(*(column.tolist() for column in columns), strict=True))
     freedom = len(heard)
 
@@ -81,17 +79,11 @@ def beacon_finding(
     factor = _factor(parts)
     if admitted(misfit(factor), freedom - 1):
         return Finding(Explanation.CURRENT, (name,), sentences.current(name, factor), factor=factor), residual
-    place = _place(model, measurements, fit, row) if freedom == 3 else None
+    place = _place(model, measurements, fit, pose_covariance, row) if freedom == 3 else None
     if place is not None:
         distance = float(np.linalg.norm(place - model.centre_m[row]))
         return Finding(Explanation.MOVED, (name,), sentences.moved(name, place, distance), position_m=place), residual
     return Finding(Explanation.BEACON, (name,), sentences.other(name, residual)), residual
-
-
-def _of_one(model: FieldModel, measurements: Measurements, fit: Fit) -> tuple[FloatArray, FloatArray]:
-    weight = measurements.inverse_sigma()
-    residual, modelled = whitened_residual(model, measurements, fit, Independent(weight))
-    return residual[0], (modelled * weight)[0]
 
 
 def _factor(parts: list[tuple[float, float, float]]) -> float:
@@ -107,19 +99,20 @@ def _factor(parts: list[tuple[float, float, float]]) -> float:
     return factor
 
 
-def _place(model: FieldModel, measurements: Measurements, fit: Fit, row: int) -> FloatArray | None:
+def _place(
+    model: FieldModel, measurements: Measurements, fit: Fit, pose_covariance: FloatArray, row: int
+) -> FloatArray | None:
     """Place, shape (3,), from which the beacon makes the field that was measured; None if it is not well determined.
 
     Only the way from the beacon to the sensor counts, so that the beacon moved by d is the sensor moved by -d. The
     pose's error and the noise decide how well the place is known.
     """
-    one = model.subset(np.array([row]))
     target = fit.rotation[0] @ measurements.filled_T[0, row]
     position = fit.position_m[0].copy()
     reach = float(np.linalg.norm(position - model.centre_m[row]))
     size = float(np.linalg.norm(target))
     for _ in range(STEPS):
-        field, gradient = (part[..., 0] for part in kernel.evaluate(one, position))
+        field, gradient = (part[..., row] for part in kernel.evaluate(model, position))
         step = np.linalg.lstsq(gradient, target - field, rcond=1e-6)[0]
         length = float(np.linalg.norm(step))
         nearest = float(np.linalg.norm(position - model.centre_m[row]))
@@ -128,15 +121,14 @@ def _place(model: FieldModel, measurements: Measurements, fit: Fit, row: int) ->
             break
     else:
         return None
-    field, gradient = (part[..., 0] for part in kernel.evaluate(one, position))
+    field, gradient = (part[..., row] for part in kernel.evaluate(model, position))
     if not np.linalg.norm(target - field) < 1e-6 * size:
         return None
     inverse = np.linalg.inv(gradient)
-    pose = gauss_newton_covariance(fit.information)[0]
     # The place is p - x with B(x) = R b: p, the turn of b, and the noise of b.
     turn = np.array([[0, target[2], -target[1]], [-target[2], 0, target[0]], [target[1], -target[0], 0]])
     slope = np.hstack([np.eye(3), -inverse @ turn])
-    covariance = slope @ pose @ slope.T + measurements.sigma_T[0, row] ** 2 * inverse @ inverse.T
+    covariance = slope @ pose_covariance @ slope.T + measurements.sigma_T[0, row] ** 2 * inverse @ inverse.T
     moved = fit.position_m[0] - position
     deviation = float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
     way = float(np.linalg.norm(moved))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,30 +117,40 @@ class Constellation:
         return self._subsets[key]
 
     def solve(
-        self, measurements: Measurements, most_evaluations: int = MOST_EVALUATIONS, *, at_any_cost: bool = True
+        self,
+        measurements: Measurements,
+        most_evaluations: int = MOST_EVALUATIONS,
+        *,
+        at_any_cost: bool = True,
+        known: Fit | None = None,
     ) -> Solutions:
         """Find the poses of e epochs with no prior.
 
-        The chain of magnitudes is quick, and its answer is taken where it is shown to be right (`_enough`). Elsewhere
-        the pose is searched: by the kernel, or for coils given by their wire and sensors without three axes in the
-        shell of the strongest beacon. Where the fields are nothing but noise the cost is infinite. A search ends at
-        ``most_evaluations``, or with the budget. Where fields fit nowhere the pose that fits best is searched, too, if
-        it is wanted ``at_any_cost``.
+        The chain of magnitudes is quick, and its answer, or the poses that are ``known`` from elsewhere, is taken where
+        it is shown to be right (`_enough`). Elsewhere the pose is searched: by the kernel, or for coils given by their
+        wire and sensors without three axes in the shell of the strongest beacon. Where the fields are nothing but noise
+        the cost is infinite. A search ends at ``most_evaluations``, or with the budget. Where fields fit nowhere the
+        pose that fits best is searched, too, if it is wanted ``at_any_cost``.
         """
         heard = audible(measurements)
         most = measurements.affordable(len(self.model), most_evaluations)
         if heard.all():
-            return self._solve_heard(measurements, most, at_any_cost)
+            return self._solve_heard(measurements, most, at_any_cost, known)
         solutions = unsolved(nowhere(len(measurements)))
         rows = np.flatnonzero(heard)
         if len(rows):
-            solutions.put(rows, self._solve_heard(measurements.take(rows), most, at_any_cost))
+            some = None if known is None else known.take(rows)
+            solutions.put(rows, self._solve_heard(measurements.take(rows), most, at_any_cost, some))
         return solutions
 
-    def _solve_heard(self, measurements: Measurements, most_evaluations: int, at_any_cost: bool) -> Solutions:
+    def _solve_heard(
+        self, measurements: Measurements, most_evaluations: int, at_any_cost: bool, known: Fit | None
+    ) -> Solutions:
         """Find the poses of epochs that are more than noise."""
         quick = kernel.of(self.model) if measurements.complete else None
-        if measurements.complete and len(self.model) >= (4 if quick is None else SURE_BEACONS):
+        if known is not None:
+            solutions = unsolved(known.take(np.arange(len(known.cost))))
+        elif measurements.complete and len(self.model) >= (4 if quick is None else SURE_BEACONS):
             solutions = unsolved(self.from_magnitudes(measurements))
         else:
             solutions = unsolved(nowhere(len(measurements)))
@@ -406,9 +416,14 @@ def audible(measurements: Measurements) -> NDArray[np.bool_]:
     strongest = energy.argmax(axis=1)
     everyone = np.arange(len(energy))
     count = measurements.count - measurements.measured.sum(axis=2)[everyone, strongest]
-    limit = chdtri(np.maximum(count, 1).astype(float), SILENCE)
     energy[everyone, strongest] = 0.0
-    return np.asarray(energy.sum(axis=1) > limit)
+    return np.asarray(energy.sum(axis=1) > _of_silence(3 * energy.shape[1])[count])
+
+
+@cache
+def _of_silence(components: int) -> FloatArray:
+    """Return the energies that so many components of noise, and of fewer, exceed in `SILENCE` of the epochs."""
+    return chdtri(np.maximum(np.arange(components + 1.0), 1.0), SILENCE)
 
 
 def probability(cost: FloatArray, freedom: NDArray[np.intp]) -> FloatArray:

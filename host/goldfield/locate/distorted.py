@@ -44,9 +44,9 @@ class Distorted:
     cost: FloatArray
     distortion: FloatArray
 
-    def best(self, count: int = 1) -> Distorted:
-        """Return those with the lowest costs, the best first."""
-        some = np.argsort(self.cost)[:count]
+    def best(self, count: int = 1, among: int | None = None) -> Distorted:
+        """Return those with the lowest costs, the best first, of all or among the first few."""
+        some = np.argsort(self.cost[:among])[:count]
         return Distorted(self.position_m[some], self.rotation[some], self.cost[some], self.distortion[some])
 
 

@@ -36,7 +36,14 @@ from goldfield.locate.exclusion import (
 )
 from goldfield.locate.fault_statistics import FaultStatistics, alarm, fault_statistics
 from goldfield.locate.fit import Fit, Measurements, stacked
-from goldfield.locate.sensor_rivals import BY_CHANCE, SensorRival, mirrored, nearly_one_factor, sensor_rivals
+from goldfield.locate.sensor_rivals import (
+    BY_CHANCE,
+    SensorRival,
+    SensorRivals,
+    mirrored,
+    nearly_one_factor,
+    sensor_rivals,
+)
 from goldfield.locate.solutions import Solutions
 from goldfield.types import Explanation, Finding
 
@@ -110,7 +117,8 @@ def explain(
     if ones is None:
         return _few(constellation, measurements, solutions, heard)
     known = stacked([poses, ones.fit.take(np.arange(2))])
-    of_sensor = sensor_rivals(constellation, measurements, known, anywhere=not sure)
+    rivals = sensor_rivals(constellation, measurements, known, anywhere=not sure)
+    of_sensor = rivals.explaining
     if ones.hopeless and not of_sensor:
         ones = searched_without_one(constellation, measurements, ones)
     verdict = _without(constellation, measurements, ones, of_sensor, names)
@@ -122,7 +130,7 @@ def explain(
         return _unknown(sentences.NOT_EXPLAINED)  # whatever was found, something better may exist
     if verdict is None and of_sensor:
         verdict = _inconsistent([of_sensor[0].finding], of_sensor[0].finding.text)
-    return verdict or _nearly(constellation, measurements, solutions) or _unknown(sentences.NOT_MENDED)
+    return verdict or _nearly(constellation, measurements, solutions, rivals) or _unknown(sentences.NOT_MENDED)
 
 
 def _sure(constellation: Constellation, measurements: Measurements, ones: Subsets) -> bool:
@@ -134,15 +142,18 @@ def _sure(constellation: Constellation, measurements: Measurements, ones: Subset
 
 def _few(constellation: Constellation, measurements: Measurements, solutions: Solutions, heard: int) -> Verdict:
     """Explain an epoch with too few beacons to leave one out."""
-    of_sensor = sensor_rivals(constellation, measurements, solutions.best)
+    rivals = sensor_rivals(constellation, measurements, solutions.best)
+    of_sensor = rivals.explaining
     if of_sensor and of_sensor[0].score + CLEAR < solutions.best.cost[0]:
         return _inconsistent([of_sensor[0].finding], of_sensor[0].finding.text)
-    return _nearly(constellation, measurements, solutions) or _unknown(sentences.too_few(heard))
+    return _nearly(constellation, measurements, solutions, rivals) or _unknown(sentences.too_few(heard))
 
 
-def _nearly(constellation: Constellation, measurements: Measurements, solutions: Solutions) -> Verdict | None:
+def _nearly(
+    constellation: Constellation, measurements: Measurements, solutions: Solutions, rivals: SensorRivals
+) -> Verdict | None:
     """Tell of one factor that explains most of the fields."""
-    finding = nearly_one_factor(constellation, measurements, solutions.best)
+    finding = nearly_one_factor(constellation, measurements, solutions.best, rivals.factor)
     return None if finding is None else _inconsistent([finding], finding.text)
 
 
@@ -174,7 +185,8 @@ def _without(
     if alike:
         alike = [*_findings(constellation, measurements, subsets, without, names)[0], *alike]
         return _inconsistent(alike, sentences.not_sure([finding.text for finding in alike]))
-    solutions = _at_least(rest.solve(thinned, SECOND_EVALUATIONS), subsets.fit.take(np.array([0])))
+    best = subsets.fit.take(np.array([0]))
+    solutions = _at_least(rest.solve(thinned, SECOND_EVALUATIONS, known=best), best)
     statistics = fault_statistics(rest.model, thinned, solutions.best)
     if alarm(thinned, solutions.best.cost, statistics)[0]:
         return None

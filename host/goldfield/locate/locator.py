@@ -175,7 +175,7 @@ class Locator:
             for i, verdict in verdicts.items():
                 if verdict.rest is not None:
                     e = int(some[i])
-                    poses[e] = self._pose_of_rest(epochs[e], rows, given.take(np.array([i])), verdict)
+                    poses[e] = self._pose_of_rest(epochs[e], rows, constellation, given.take(np.array([i])), verdict)
             judged = Judged(self.site, constellation.model, names, given, found, statistics, verdicts)
             whole = [i for i, e in enumerate(some.tolist()) if e not in poses]
             if len(whole) < len(some):
@@ -185,13 +185,18 @@ class Locator:
         return [poses[e] for e in range(len(epochs))]
 
     def _pose_of_rest(
-        self, fields: Fields, rows: NDArray[np.intp], measurements: Measurements, verdict: Verdict
+        self,
+        fields: Fields,
+        rows: NDArray[np.intp],
+        constellation: Constellation,
+        measurements: Measurements,
+        verdict: Verdict,
     ) -> Pose:
         """Return the pose of one epoch without the beacons that its verdict leaves out."""
         assert verdict.rest is not None
         assert verdict.statistics is not None
         kept = np.delete(np.arange(len(rows)), verdict.left_out)
-        thinned, model = measurements.of_beacons(kept), self._all.subset(rows[kept]).model
+        thinned, model = measurements.of_beacons(kept), constellation.subset(kept).model
         judged = Judged(self.site, model, self._names(rows[kept]), thinned, verdict.rest, verdict.statistics, {})
         (pose,) = poses_of([fields], judged)
         left_out = {self._names(rows[[row]])[0]: residual for row, residual in verdict.residuals.items()}

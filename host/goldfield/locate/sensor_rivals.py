@@ -85,6 +85,23 @@ class SensorRival:
     score: float
 
 
+@dataclass(frozen=True, eq=False)
+class SensorRivals:
+    """What was found of the sensor and the whole site.
+
+    Attributes
+    ----------
+    explaining : list of SensorRival
+        What explains the epoch, the best score first.
+    factor : Distorted or None
+        The best pose by one factor of all fields, which need not explain them, from anywhere and from the first of the
+        given poses; None if it was not sought anywhere.
+    """
+
+    explaining: list[SensorRival]
+    factor: Distorted | None = None
+
+
 def mirrored(constellation: Constellation, measurements: Measurements, cost: float, margin: float) -> Finding | None:
     """Search one epoch's pose from the negated fields; a finding if they fit and cost less by ``margin``."""
     negated = measurements.of_fields(-measurements.field_T)
@@ -96,8 +113,8 @@ def mirrored(constellation: Constellation, measurements: Measurements, cost: flo
 
 def sensor_rivals(
     constellation: Constellation, measurements: Measurements, poses: Fit, *, anywhere: bool = True
-) -> list[SensorRival]:
-    """Return what explains one epoch by the sensor or the whole site, the best score first.
+) -> SensorRivals:
+    """Seek what explains one epoch by the sensor or the whole site.
 
     Parameters
     ----------
@@ -108,36 +125,43 @@ def sensor_rivals(
     """
     heard = int(measurements.known.sum())
     if heard < LEAST_FOR_ONE_FACTOR or not measurements.complete:
-        return []
+        return SensorRivals([])
     model = constellation.model
-    position, rotation = _given(poses)
-    if anywhere:
-        position, rotation = _starts(constellation, measurements, poses)
-    factor = fit_distorted(model, measurements, position, rotation, basis=DISTORTIONS[:1]).best()
+    position, rotation = _starts(constellation, measurements, poses) if anywhere else _given(poses)
+    factors = fit_distorted(model, measurements, position, rotation, basis=DISTORTIONS[:1])
+    factor = factors.best()
     found = [_rival(measurements, factor, 1, 1)]
     if heard >= LEAST_FOR_ANY:
         whole = fit_distorted(model, measurements, position, rotation, basis=DISTORTIONS).best()
-        found.append(_rival(measurements, whole, len(DISTORTIONS), 1) if _plausible(measurements, whole) else None)
-        for axis in np.eye(3) if found[-1] is not None else []:
+        any_distortion = _rival(measurements, whole, len(DISTORTIONS), 1)
+        plausible = any_distortion is not None and _plausible(measurements, whole)
+        found.append(any_distortion if plausible else None)
+        for axis in np.eye(3) if plausible else []:
             # From the pose of any distortion, which is near that of the right one.
             other, along = np.diag(1.0 - axis), np.outer(axis, axis)[None]
             gain = fit_distorted(model, measurements, whole.position_m, whole.rotation, basis=along, fixed=other)
             found.append(_rival(measurements, gain, 1, 3))
-    return sorted((rival for rival in found if rival is not None), key=lambda rival: rival.score)
+    explaining = sorted((rival for rival in found if rival is not None), key=lambda rival: rival.score)
+    return SensorRivals(explaining, factors.best(among=STARTS + 1) if anywhere else None)
 
 
-def nearly_one_factor(constellation: Constellation, measurements: Measurements, poses: Fit) -> Finding | None:
+def nearly_one_factor(
+    constellation: Constellation, measurements: Measurements, poses: Fit, fitted: Distorted | None
+) -> Finding | None:
     """Return the factor of all fields that explains most of one epoch though not all of it, if there is one.
 
     Parameters
     ----------
     poses : Fit
         The best poses of the fields as they are.
+    fitted : Distorted or None
+        The best pose by one factor, if it is known.
     """
     if int(measurements.known.sum()) < LEAST_FOR_ONE_FACTOR or not measurements.complete:
         return None
-    position, rotation = _starts(constellation, measurements, poses)
-    fitted = fit_distorted(constellation.model, measurements, position, rotation, basis=DISTORTIONS[:1]).best()
+    if fitted is None:
+        position, rotation = _starts(constellation, measurements, poses)
+        fitted = fit_distorted(constellation.model, measurements, position, rotation, basis=DISTORTIONS[:1]).best()
     factor = float(fitted.distortion[0, 0, 0])
     if not fitted.cost[0] < NEARLY * poses.cost[0] or 1.0 / FAR_FROM_ONE < factor < FAR_FROM_ONE:
         return None

@@ -160,7 +160,7 @@ def test_with_four_beacons_a_rival_by_the_sensor_must_be_twenty_five_better(monk
     solutions = unsolved(case.fit(measurements))
     solutions.best.cost[0] = 100.0
     rival = SensorRival(OF_SENSOR, 0.0, 100.0 - margin)
-    monkeypatch.setattr(integrity, "sensor_rivals", lambda *_: [rival])
+    monkeypatch.setattr(integrity, "sensor_rivals", lambda *_: sensor_rivals.SensorRivals([rival]))
     verdict = integrity._few(case.constellation, measurements, solutions, 4)
     assert [finding.kind for finding in verdict.findings] == [kind]
 
@@ -176,7 +176,7 @@ def test_with_four_beacons_a_rival_by_the_sensor_must_be_twenty_five_better(monk
 def test_one_factor_takes_four_beacons_and_any_distortion_five(keep, kinds):
     case = Case(104, keep)
     measurements = case.measurements(1.3 * case.field_T)
-    rivals = sensor_rivals.sensor_rivals(case.constellation, measurements, case.fit(measurements))
+    rivals = sensor_rivals.sensor_rivals(case.constellation, measurements, case.fit(measurements)).explaining
     found = {rival.finding.kind for rival in rivals}
     assert bool(found) == bool(kinds)
     assert found <= kinds
