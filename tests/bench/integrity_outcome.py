@@ -7,6 +7,7 @@ which an honest pose with few or weak beacons may well have.
 
 from __future__ import annotations
 
+import gc
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
@@ -139,10 +140,18 @@ def judged(site: Site, run: Trials) -> Outcome:
 
 
 def times_s(site: Site, run: Trials, most: int) -> list[float]:
-    """Return the processor time of locating each of the first epochs one by one, s."""
+    """Return the processor time of locating each of the first epochs one by one, s.
+
+    As in ``timeit`` nothing of the interpreter's garbage is collected meanwhile: with all that a bench has imported,
+    one collection takes 20 to 90 ms, and falls on some epoch.
+    """
     locator, spent = Locator(site), []
+    collects = gc.isenabled()
+    gc.disable()
     for fields_ in fields_of(site, run)[:most]:
         began = time.thread_time()
         locator.locate(fields_)
         spent.append(time.thread_time() - began)
+    if collects:
+        gc.enable()
     return spent
