@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from goldfield.locate import Locator
 from goldfield.site import Site
-from goldfield.types import Pose
+from goldfield.types import Fields, Pose
 from tests.bench.locate_trials import Trials, fields_of
 
 FloatArray = NDArray[np.float64]
@@ -140,18 +140,21 @@ def judged(site: Site, run: Trials) -> Outcome:
 
 
 def times_s(site: Site, run: Trials, most: int) -> list[float]:
-    """Return the processor time of locating each of the first epochs one by one, s.
+    """Return the processor time of locating each of the first epochs one by one, s, the least of three times.
 
     As in ``timeit`` nothing of the interpreter's garbage is collected meanwhile: with all that a bench has imported,
-    one collection takes 20 to 90 ms, and falls on some epoch.
+    one collection takes 20 to 90 ms, and falls on some epoch. So does what the load of the machine adds.
     """
-    locator, spent = Locator(site), []
+    locator, epochs = Locator(site), fields_of(site, run)[:most]
     collects = gc.isenabled()
     gc.disable()
-    for fields_ in fields_of(site, run)[:most]:
-        began = time.thread_time()
-        locator.locate(fields_)
-        spent.append(time.thread_time() - began)
+    spent = [min(_time_s(locator, one) for _ in range(3)) for one in epochs]
     if collects:
         gc.enable()
     return spent
+
+
+def _time_s(locator: Locator, epoch: Fields) -> float:
+    began = time.thread_time()
+    locator.locate(epoch)
+    return time.thread_time() - began

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
@@ -53,16 +55,31 @@ def walk(site, rng, count):
 def elsewhere(scale=1.0):
     """Time of single epochs that take more than the chain of magnitudes, ms: median, 99 % and worst of each kind.
 
-    Five beacons of the cube, too few for its answer to be taken unsearched, and eight of which one is at fault.
+    Five beacons of the cube, too few for its answer to be taken unsearched; eight of which one is at fault, or two; and
+    eight with a sensor that is, or fields that nothing explains.
     """
     count = max(int(scale * 1000), 12)
     five, eight = bench.prigge_cube(keep=(0, 1, 3, 4, 6)), bench.prigge_cube()
     rng = np.random.default_rng(107)
     work = {"five beacons": (five, bench.trials(five, bench.cube_positions(rng, count), rng))}
+    some = count // len(bench.FAULTS)
+
+    def sound():
+        return bench.trials(eight, bench.cube_positions(rng, some), rng)
+
     for kind in bench.FAULTS:
-        sound = bench.trials(eight, bench.cube_positions(rng, count // len(bench.FAULTS)), rng)
         row = int(rng.integers(len(eight.beacons)))
-        work[f"one of eight: {kind}"] = eight, bench.with_fault(kind, eight, sound, rng, row)
+        work[f"one of eight: {kind}"] = eight, bench.with_fault(kind, eight, sound(), rng, row)
+    two = bench.with_fault("dead", eight, bench.with_fault("polarity", eight, sound(), rng, 1), rng, 6)
+    work["two of eight: polarity, dead"] = eight, two
+    for name, gains in (("gain of one axis +20%", [1.2, 1.0, 1.0]), ("one axis reversed", [-1.0, 1.0, 1.0])):
+        run = sound()
+        work[name] = eight, replace(run, field_T=run.field_T * gains)
+    run = sound()
+    work["fields in other places"] = eight, replace(run, field_T=run.field_T[:, rng.permutation(len(eight.beacons))])
+    run = sound()
+    noise = 30.0 * run.sigma_T[..., None] * rng.normal(size=run.field_T.shape)
+    work["noise, 30 times as said"] = eight, replace(run, field_T=noise)
     result = {}
     for name, (site, run) in work.items():
         ms = 1e3 * np.array(times_s(site, run, count))
