@@ -24,8 +24,8 @@
 #define START_FIELD 5.0f /* Ambient field, and offset, uT. */
 
 /* The last filter always has the greatest agility, the others have three neighbours of the rest. */
-static const float agilities[][2] = {{0.01f, 0.02f}, {0.05f, 0.08f}, {0.25f, 0.3f}, {0.5f, 1.0f},
-                                     {2.0f, 1.5f},   {2.0f, 4.0f},   {8.0f, 15.0f}};
+static const float agilities[][2] = {{0.01f, 0.02f}, {0.05f, 0.08f}, {0.25f, 0.3f},
+                                     {0.5f, 1.0f},   {2.0f, 4.0f},   {8.0f, 15.0f}};
 
 #define MOST      ((uint32_t)(sizeof agilities / sizeof agilities[0]) - 1u)
 #define FOLLOWERS (BLOCK_FILTERS - 1u)

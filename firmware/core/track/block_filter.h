@@ -13,7 +13,7 @@
  * that no filter could believe. Until then blocks are predicted over.
  *
  * Method. A bank of BLOCK_FILTERS Kalman filters that differ in the agility they expect: white acceleration, of
- * position and of turn. One has the greatest of seven agilities, the others those next to the likeliest one. Each block
+ * position and of turn. One has the greatest of six agilities, the others those next to the likeliest one. Each block
  * is linearised once, at the prediction of the likeliest filter: nine observed numbers (position, attitude, ambient
  * field at the sensor) with their information. Each filter takes them, or refuses them by its gate. The filters are
  * mixed every 12 ms, and what they say together is output (block_mix.h).

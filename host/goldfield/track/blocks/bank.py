@@ -32,9 +32,7 @@ from goldfield.track.blocks.state import AMBIENT, OFFSET, RATE, SIZE, VELOCITY, 
 from goldfield.track.blocks.update import Reference, observed, reference, taken_by
 from goldfield.types import FloatArray
 
-AGILITIES: FloatArray = np.array(
-    [[0.01, 0.02], [0.05, 0.08], [0.25, 0.3], [0.5, 1.0], [2.0, 1.5], [2.0, 4.0], [8.0, 15.0]]
-)
+AGILITIES: FloatArray = np.array([[0.01, 0.02], [0.05, 0.08], [0.25, 0.3], [0.5, 1.0], [2.0, 4.0], [8.0, 15.0]])
 """Agilities of acceleration and turn, m/s^2 and rad/s^2 per root hertz."""
 
 FILTERS = 4

@@ -16,7 +16,7 @@ from scipy.special import ellipe, ellipk
 from goldfield.types import FloatArray
 
 CHIP_S = 0.1 / 1023
-AGILITIES = ((0.01, 0.02), (0.05, 0.08), (0.25, 0.3), (0.5, 1.0), (2.0, 1.5), (2.0, 4.0), (8.0, 15.0))
+AGILITIES = ((0.01, 0.02), (0.05, 0.08), (0.25, 0.3), (0.5, 1.0), (2.0, 4.0), (8.0, 15.0))
 
 
 @dataclass(frozen=True)
