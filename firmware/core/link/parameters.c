@@ -51,15 +51,16 @@ static bool in_range(const parameter_entry_t *entry, uint32_t bits) {
     return bits >= entry->minimum && bits <= entry->maximum && (entry->excluded == 0u || bits != entry->excluded);
 }
 
-/* What a value adds to the seal: two that have changed places are seen, too. */
-static uint32_t weigh(uint32_t place, uint32_t bits) {
-    return bits * (2u * place + 1u);
+/* Returns what a value adds to the seal: neighbours that have changed places are seen, too. */
+static uint32_t turned(uint32_t place, uint32_t bits) {
+    const uint64_t wide = (uint64_t)bits << (place % 32u);
+    return (uint32_t)(wide & UINT32_MAX) | (uint32_t)(wide >> 32);
 }
 
 static uint32_t seal_of(const parameters_t *parameters) {
     uint32_t sum = PARAMETERS_COUNT; /* Memory that is 0 all over is not sealed. */
     for (uint32_t place = 0; place < PARAMETERS_COUNT; place++) {
-        sum += weigh(place, parameters->bits[place]);
+        sum ^= turned(place, parameters->bits[place]);
     }
     return sum;
 }
@@ -121,11 +122,11 @@ parameter_status_t parameters_set(parameters_t *parameters, uint32_t id, paramet
         return PARAMETER_OUT_OF_RANGE;
     }
     /* The place is looked up anew for the seal: if one of both is wrong, the seal breaks. */
-    uint32_t sealed;
+    uint32_t sealed = 0;
     if (find(id, &sealed) != entry) {
         return PARAMETER_UNKNOWN;
     }
-    parameters->seal += weigh(sealed, value.bits) - weigh(sealed, parameters->bits[sealed]);
+    parameters->seal ^= turned(sealed, value.bits) ^ turned(sealed, parameters->bits[sealed]);
     parameters->bits[place] = value.bits;
     return PARAMETER_OK;
 }

@@ -72,7 +72,7 @@ typedef struct {
 /* The values of all elements, in the order of the table. */
 typedef struct {
     uint32_t bits[PARAMETERS_COUNT];
-    uint32_t seal; /* A sum over them, which each change keeps up. */
+    uint32_t seal; /* What they make together, which each change keeps up. */
 } parameters_t;
 
 typedef enum {
