@@ -53,6 +53,7 @@
 #define CURRENT_START        (HAL_CHIP_TICKS_MIN - 360u)
 #define CURRENT_START_ANCHOR (BURST_START - 300u)
 #define EDGE_START           (HAL_EDGE_US * 168u - TRIGGER_TICKS - SAMPLING_TICKS)
+#define TIMERS_APART         64u   /* Ticks by which two timers that count the same chip differ at most. */
 #define CURRENTS_APART       8192u /* Ticks from the currents amid the chip to those before its end. */
 #define BURST_BEYOND         300u  /* A burst may end so far behind the end of the shortest chip. */
 #define EDGE_DONE            (EDGE_START + 2u * TRIGGER_TICKS + CONVERSION_TICKS)
@@ -194,8 +195,14 @@ static bool scans(const hal_t *hal, uint32_t now) {
                                        : now >= EDGE_START && now < EDGE_DONE;
 }
 
-/* Returns which currents were converted last, at a count of the chip. The two timers that count it tell the same,
- * unless one of them stands. */
+/* Returns whether the two timers that count the chip tell the same, as they do unless one of them stands: then no
+ * current can be told to belong to a chip. */
+static bool agree(uint32_t one, uint32_t other) {
+    const uint32_t apart = one > other ? one - other : other - one;
+    return apart < TIMERS_APART || apart > HAL_CHIP_TICKS_MIN - TIMERS_APART; /* One has begun the next chip. */
+}
+
+/* Returns which currents were converted last, at a count of the chip. */
 static look_t latest(const hal_t *hal, uint32_t now) {
     const uint32_t end = current_start(hal) + CONVERSION_TICKS;
     if (now >= end - CURRENTS_APART && now < end)
@@ -206,7 +213,9 @@ static look_t latest(const hal_t *hal, uint32_t now) {
 look_t converters_take(hal_t *hal, uint16_t count[HAL_CHANNELS]) {
     if ((ADC1->SR & ADC_SR_JEOC) == 0)
         return LOOK_NONE;
-    const uint32_t now = TIM8->CNT;
+    const uint32_t primask = interrupts_off();
+    const uint32_t now = TIM8->CNT, other = TIM1->CNT;
+    interrupts_restore(primask);
     if (hal->temperature_due && scans(hal, now))
         return LOOK_NONE; /* The flag stays, so the interrupt comes again: it had waited, as for the flash. */
     ADC1->SR = ~ADC_SR_JEOC & 0x3Fu;
@@ -225,8 +234,7 @@ look_t converters_take(hal_t *hal, uint16_t count[HAL_CHANNELS]) {
     };
     count[0] = (uint16_t)ADC1->JDR2;
     count[1] = (uint16_t)ADC2->JDR2;
-    const look_t look = latest(hal, now);
-    return latest(hal, TIM1->CNT) == look ? look : LOOK_NONE;
+    return agree(now, other) ? latest(hal, now) : LOOK_NONE;
 }
 
 bool converters_take_edge(const hal_t *hal, uint16_t count[HAL_CHANNELS]) {

@@ -211,17 +211,17 @@ def test_a_timer_that_stops(driving, timer, parts):
     assert_restart(driving(STOP_TIMER, timer), parts)
 
 
-def test_the_timer_of_the_chips_that_stops(driving):
+@pytest.mark.parametrize("timer", [1, 8])
+def test_a_timer_of_the_chips_that_stops(driving, timer):
     """No current can be told to belong to a chip: the coil goes off as with the others, and the board restarts."""
-    board = driving(STOP_TIMER, 1)
+    board = driving(STOP_TIMER, timer)
     assert_restart(board, {"coil currents"})
     assert off_after(board) <= (RUNNING + 1) * CHIP
 
 
-@pytest.mark.parametrize("timer", [3, 8])
-def test_a_timer_of_the_edges_that_stops_switches_the_coil_off_for_good(driving, timer):
+def test_the_timer_of_the_edges_that_stops_switches_the_coil_off_for_good(driving):
     """The other timers go on, so everything moves, if slowly: the board stays up and tells why its coil is off."""
-    board = driving(STOP_TIMER, timer)
+    board = driving(STOP_TIMER, 3)
     board.run(INJECT + 1500 * MS)
     assert was_injected(board)
     assert off_after(board) <= (RUNNING + 1) * CHIP  # one more may have had its edges
