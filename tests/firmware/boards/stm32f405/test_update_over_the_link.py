@@ -110,7 +110,7 @@ def test_an_image_takes_its_successor_which_confirms_itself(new: bytes) -> None:
     print(f"{len(new)} bytes, {sent} blocks of {len(new) // 8 - FIRST_BLOCK}, {life.now / SECOND:.1f} s from power-on")
     assert sent < 1.1 * len(new) / 8
     assert life.command(END, wait=500 * MS) == (OK_RESTARTS, 0)
-    life.run(life.now + 1700 * MS)  # The boot loader checks the signature, and starts it.
+    life.run(life.now + 3000 * MS)  # The boot loader checks the signature twice, and starts it.
     status, value = life.command(TELL)
     assert (status, value & 15) == (OK, B)
     life.run(life.now + 3500 * MS)
