@@ -201,7 +201,7 @@ def followed(models: list[Model]) -> list[Model]:
     """Return the filters with agilities that have the likeliest one amid them; the greatest is always one of them."""
     slow, _, quick, quickest = sorted(models, key=lambda model: model.agility)
     gone, come = slow.agility, slow.agility
-    if quick.probability + quickest.probability > 0.4 and quick.agility < 5:
+    if quick.probability + quickest.probability > 0.4 and quick.agility < len(AGILITIES) - 2:
         come = quick.agility + 1
     elif slow.probability > 0.5 and slow.agility > 0:
         gone, come = quick.agility, slow.agility - 1

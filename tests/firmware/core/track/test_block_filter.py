@@ -21,7 +21,7 @@ class Bank:
         self.flight, self.unmixed = flight, 0.0
         first = flight.kernel.filter.filters[0]
         state, covariance = flight.kernel.state(first.state), flight.kernel.covariance(first)
-        self.models = [dense.Model(state, covariance, 0.25, agility) for agility in (0, 1, 2, 6)]
+        self.models = [dense.Model(state, covariance, 0.25, agility) for agility in (0, 1, 2, len(dense.AGILITIES) - 1)]
         self.refused = 0
 
     def update(self, data, seconds):
