@@ -119,8 +119,8 @@ def test_the_bus_is_as_busy_as_the_budget_says(streamed):
 
 
 def test_the_last_message_of_a_block_is_on_the_bus_within_two_milliseconds(streamed):
-    """From the end of the block's last chip, by the master's wire: all but what the host takes of 2.5 ms (0.33 ms in the
-    median, docs/comparison.md). Once a cycle the DRIVE_STATUS of up to eight beacons come between, 0.14 ms each."""
+    """From the end of the block's last chip, by the master's wire: all but what the host takes of 2.5 ms (0.33 ms in
+    the median, docs/comparison.md). Once a cycle the DRIVE_STATUS of eight beacons may come between, 0.14 ms each."""
     site = streamed.bench.site
     edges_s = streamed.bench.rig.sync_edges_s()
     chip_s = float(np.median(np.diff(edges_s))) / site.chips

@@ -53,7 +53,8 @@ static bool in_range(const parameter_entry_t *entry, uint32_t bits) {
 
 /* Returns what a value adds to the seal: neighbours that have changed places are seen, too. */
 static uint32_t turned(uint32_t place, uint32_t bits) {
-    const uint64_t wide = (uint64_t)bits << (place % 32u);
+    const uint32_t by = place % 32u;
+    const uint64_t wide = (uint64_t)bits << by;
     return (uint32_t)(wide & UINT32_MAX) | (uint32_t)(wide >> 32);
 }
 
