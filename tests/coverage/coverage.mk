@@ -31,7 +31,7 @@ $(THIRD_PARTY_SOURCES:%.c=$(COVERED)/core/%.o) $(THIRD_PARTY_SOURCES:%.c=$(COVER
 # One process: a worker of xdist that is ended takes the counts of gcov with it.
 COVERED_PYTHON := GOLDFIELD_ROOT=$(CURDIR) OPENBLAS_NUM_THREADS=1 $(PYTHON) -m coverage
 
-coverage: all $(BUILD)/qemu.stamp $(COVERED)/libgf_core.so $(COVERED)/libgf_hostboard.so ## Lines of firmware/core and host that their tests run, by folder, held to 95 % each (half an hour)
+coverage: all $(BUILD)/qemu.stamp $(BUILD)/chromium.stamp $(BUILD)/mosquitto.stamp $(BUILD)/foxglove-reader.stamp $(COVERED)/libgf_core.so $(COVERED)/libgf_hostboard.so ## Lines of firmware/core and host that their tests run, by folder, held to 95 % each (half an hour)
 	@find $(COVERED) -name '*.gcda' -delete; rm -rf $(COVERED)/host; mkdir -p $(COVERED)/host
 	@GOLDFIELD_LIBRARIES=$(abspath $(COVERED)) $(COVERED_PYTHON) run --rcfile=tests/coverage/coverage.ini \
 	  -m pytest -q --ignore=tests/packaging $(COVERED_TESTS) || echo "coverage: tests failed; the table is of what ran"
