@@ -29,6 +29,7 @@ static const float agilities[][2] = {{0.01f, 0.02f}, {0.05f, 0.08f}, {0.25f, 0.3
 
 #define MOST      ((uint32_t)(sizeof agilities / sizeof agilities[0]) - 1u)
 #define FOLLOWERS (BLOCK_FILTERS - 1u)
+#define BEGIN     2u   /* The least agility with which a track begins: nobody knows yet how the sensor moves. */
 #define LIKELY    0.4f /* Probability of much agility from which on it is asked whether more is wanted, ... */
 #define CERTAIN   0.5f /* ... and of the least agile filter from which on it is asked whether less is enough. */
 
@@ -80,9 +81,9 @@ void block_filter_begin(block_filter_t *filter, const block_state_t *state,
         one->state = *state;
         memcpy(one->covariance, covariance, sizeof one->covariance);
         one->probability = 1.0f / (float)BLOCK_FILTERS;
-        expect(filter, k == FOLLOWERS ? MOST : k);
+        expect(filter, k == FOLLOWERS ? MOST : BEGIN + k);
     }
-    filter->least = 0;
+    filter->least = BEGIN;
     filter->kept = false;
     filter->best = 0;
     filter->refused = 0;

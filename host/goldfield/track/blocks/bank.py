@@ -38,6 +38,9 @@ AGILITIES: FloatArray = np.array([[0.01, 0.02], [0.05, 0.08], [0.25, 0.3], [0.5,
 FILTERS = 4
 """Filters of a bank at most: the last has the greatest agility, the others those that are next to the likeliest one."""
 
+BEGIN = 2
+"""The least agility with which a track begins, by its place in `AGILITIES`: nobody knows yet how the sensor moves."""
+
 LIKELY, CERTAIN = 0.4, 0.5
 """Probability of the two most agile filters from which on it is asked whether more agility is wanted, and of the least
 agile one from which on it is asked whether less is enough."""
@@ -146,7 +149,7 @@ class Bank:
         self._model, self._all = model, agilities
         self.mismatch, self.refused = 0.0, 0
         self._count = min(len(agilities), FILTERS)
-        self._least = 0
+        self._least = self._first = min(BEGIN, len(agilities) - self._count)
         self._probability = np.full(self._count, 1.0 / self._count)
         self._unmixed_s = 0.0
         self._merged: Estimate | None = None
@@ -159,7 +162,7 @@ class Bank:
     def resume(self, known: Estimate) -> None:
         """Begin a track with a motion that is known so well, at the middle of a block."""
         count, motion = self._count, known.motion
-        self._least = 0
+        self._least = self._first
         self._motion = Motion(
             np.tile(motion.position_m, (count, 1)),
             np.tile(motion.rotation, (count, 1, 1)),

@@ -21,7 +21,7 @@ class Bank:
         self.flight, self.unmixed = flight, 0.0
         first = flight.kernel.filter.filters[0]
         state, covariance = flight.kernel.state(first.state), flight.kernel.covariance(first)
-        self.models = [dense.Model(state, covariance, 0.25, agility) for agility in (0, 1, 2, len(dense.AGILITIES) - 1)]
+        self.models = [dense.Model(state, covariance, 0.25, agility) for agility in range(2, len(dense.AGILITIES))]
         self.refused = 0
 
     def update(self, data, seconds):
@@ -323,7 +323,7 @@ def test_a_sensor_at_rest_beside_a_coil_learns_nothing_of_changing_slopes(core, 
     assert never == 0
     assert 0.4 < np.median(kept) < 1.2
     assert (kept > 2.6).sum() <= 1  # One in twenty of a right covariance, if the error hardly changes in that time.
-    assert (anew > 3.0).sum() >= 8
+    assert (anew > 3.0).sum() >= 5
 
 
 @pytest.mark.parametrize(("speed", "held"), [(0.0, True), (0.5, False)])
