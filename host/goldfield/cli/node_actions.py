@@ -157,7 +157,7 @@ def _words_of(node: Node, board: Board | None, image: ElfLines | None) -> Iterat
     yield from _kept_off(node)
     for channel, health in sorted(node.health.items()):
         if health.headroom_lost:
-            yield f"channel {channel} does not reach its current: its supply is too low, or its amplitude too high"
+            yield f"channel {channel} does not keep to its current: its supply is too low, or its amplitude too high"
     if node.counters:
         yield "counted: " + ", ".join(counted(count, counter_name(i)) for i, count in sorted(node.counters.items()))
 

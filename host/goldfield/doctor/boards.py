@@ -226,8 +226,16 @@ def _of_coil(node: Node, channel: int, beacon: Beacon | None) -> Iterator[Check]
             **about,
         )
     elif health is not None and health.headroom_lost:
-        text = f"{name} does not reach its current on channel {channel}: {drive.current_A:.2f} of {drive.target_A:g} A"
-        yield wrong(Fault.DRIVE, "coil", text, "raise its supply, or lower its amplitude", **about)
+        text = (
+            f"{name} does not keep to its current on channel {channel}: {drive.current_A:.2f} of {drive.target_A:g} A"
+        )
+        yield wrong(
+            Fault.DRIVE,
+            "coil",
+            text,
+            "raise its supply, or lower its amplitude; where it is more than asked for, restart the board",
+            **about,
+        )
     elif beacon is not None and drive.enabled:
         yield from _current(node.number, beacon, drive.current_A)
 

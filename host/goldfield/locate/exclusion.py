@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from goldfield.locate import kernel
 from goldfield.locate.constellation import ROBUST_MODEL_ERROR, ROUGH_TOLERANCE, Constellation
-from goldfield.locate.fit import Fit, Measurements, fit_pose, stacked
+from goldfield.locate.fit import TOLERANCE, Fit, Measurements, fit_pose, stacked
 from goldfield.locate.solutions import nowhere
 from goldfield.types import FloatArray
 
@@ -31,15 +31,12 @@ CLEAR = 25.0
 ROUGH_ITERATIONS, FINAL_ITERATIONS = 15, 120
 """The most evaluations of a fit with model error, which compares the subsets, and of one without."""
 
-FINAL_TOLERANCE = 1e-6
-"""As `fit.fit_pose` has it."""
-
 _HOW = {
     "model_error": ROBUST_MODEL_ERROR,
     "rough_iterations": ROUGH_ITERATIONS,
     "rough_tolerance": ROUGH_TOLERANCE,
     "final_iterations": FINAL_ITERATIONS,
-    "final_tolerance": FINAL_TOLERANCE,
+    "final_tolerance": TOLERANCE,
     "pool": POOL,
     "clear_cost": CLEAR,
 }

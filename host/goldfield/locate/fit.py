@@ -19,6 +19,9 @@ from goldfield.locate.site_errors import SiteErrors
 from goldfield.locate.whitening import Correlated, Independent, Whitening, whitening_around
 from goldfield.types import FloatArray
 
+TOLERANCE = 1e-6
+"""A fit ends when its next step promises to lower the cost by less, unless another limit is given."""
+
 MOST_ROUNDS = 4
 SETTLED = 1e-2
 """With errors of the site the components are whitened anew around what a fit has found, at most so often in all, and as
@@ -232,7 +235,7 @@ def fit_pose(
     *,
     model_error: float = 0.0,
     iterations: int = 120,
-    tolerance: float = 1e-6,
+    tolerance: float = TOLERANCE,
 ) -> Fit:
     """Fit position and attitude to the measured components by least squares, from a start near by.
 

@@ -39,7 +39,7 @@ class DriveHealth:
     locked_out : bool
         Whether it was switched off so often in a row that only the loss of power brings it back.
     headroom_lost : bool
-        Whether the driver does not reach the current that is asked for.
+        Whether the driver does not make the current that is asked for: it falls short, or exceeds it.
     trips : int
         How often in a row it was switched off.
     wait_s, supply_V, coil_degC, driver_degC, rms_A, direct_A : float
