@@ -89,8 +89,11 @@ def intact(chip: Emulator) -> bool:
     """Whether the parameters' seal is that of their values, by the text of parameters.h and parameters.c."""
     seal = place_of(BEACON_IMAGE, "beacon.node.parameters.seal")
     values = parameters_of(chip)
-    total = sum((2 * i + 1) * value for i, value in enumerate(values)) + len(values)
-    return total & 0xFFFFFFFF == int.from_bytes(chip.memory(seal.start, 4), "little")
+    together = len(values)
+    for place, value in enumerate(values):
+        wide = value << place % 32
+        together ^= wide & 0xFFFFFFFF | wide >> 32
+    return together == int.from_bytes(chip.memory(seal.start, 4), "little")
 
 
 def counters_of(chip: Emulator) -> list[int]:
@@ -145,6 +148,7 @@ class Linked:
         for number, frame in enumerate(self.frames()):
             board.receive(frame, self.begin + 100 * US + number * MS)
         board.run(self.begin)
+        assert intact(board.emulator), "the seal is another than that of parameters.c"
         self.before = parameters_of(board.emulator)
         return board
 
