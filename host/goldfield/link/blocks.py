@@ -129,7 +129,7 @@ class BlockAssembler:
             waiting, self._waiting = self._waiting, []
             for complete in waiting:
                 yield from self._placed(complete)
-        elif message.name == "BLOCK":
+        elif message.name == "BLOCK" and message.index < self._chips:  # of a longer code, the sensor has another degree
             yield from self._begin(message)
         elif message.name == "BLOCK_SUM" and message.index in self._codes:
             yield from self._add(message)

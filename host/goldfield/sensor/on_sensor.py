@@ -219,7 +219,7 @@ class OnSensorTrack:
         """
         if message.name == "EPOCH":
             self._begin_cycle(int(message.signals["cycle"]), message.signals["time"])
-        if message.name not in ON_SENSOR_POSE or not message.index:
+        if message.name not in ON_SENSOR_POSE or not 1 <= message.index <= self._site.chips:
             return None
         block = message.index, int(message.signals["cycle_low"])
         if block != self._block or message.name in self._messages:

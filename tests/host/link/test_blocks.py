@@ -248,6 +248,16 @@ def test_messages_of_other_codes_and_other_kinds_are_ignored():
     assert [sender.check(block) for block in fed(target, messages)] == list(range(40))
 
 
+@pytest.mark.parametrize("chip", [N, N + 31, 2046])
+def test_a_block_of_a_longer_code_is_ignored(chip):
+    sender, target = Sender(), assembler()
+    fed(target, sender.messages(*range(40)))
+    head, *sums = sender.messages(40)
+    elsewhere = decode(*encode("BLOCK", dict(head.signals), node=NODE, index=chip))
+    assert fed(target, [elsewhere, *sums]) == []
+    assert [sender.check(block) for block in fed(target, sender.messages(41, 42))] == [41, 42]
+
+
 PLACES = st.integers(0, 250)
 
 

@@ -255,6 +255,14 @@ def test_a_block_whose_messages_are_lost_is_counted_and_not_mixed():
         assert track.lost == 1
 
 
+def test_poses_of_a_longer_code_are_ignored():
+    site = sites.load(SITE)
+    track = OnSensorTrack(site)
+    messages = [epoch_message(4, 0.45), *block_pose_messages(site, 5, 1023), *block_pose_messages(site, 5, 1022)]
+    (pose,) = fed(track, messages)
+    assert pose.time_s == pytest.approx(6 * site.cycle_s, abs=2e-3)
+
+
 def test_status_and_reason_of_a_blocks_pose():
     site = sites.load(SITE)
     track = OnSensorTrack(site)
