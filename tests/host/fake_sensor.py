@@ -62,9 +62,7 @@ def heartbeat(node=NODE, role=1, hash_=None, state=3):
 
 def cycle_messages(cycle, seed=1, noise_T=2e-7, fields=None, codes=CODES, time_s=None):
     """What a sensor sends of one cycle, from 1023 noisy samples."""
-    fields = beacon_fields() if fields is None else fields
-    noise = np.random.default_rng([seed, cycle]).normal(scale=noise_T, size=(1023, 3))
-    samples = CHIPS @ fields + ATTITUDE.inv().apply(EARTH_T) + noise
+    samples = cycle_samples(cycle, seed, noise_T, beacon_fields() if fields is None else fields)
     low = cycle % 16
     time_s = (cycle + 0.5) * CYCLE_S if time_s is None else time_s
     status = {
@@ -85,6 +83,28 @@ def cycle_messages(cycle, seed=1, noise_T=2e-7, fields=None, codes=CODES, time_s
         correlation = CHIPS[:, place] @ samples / 1023
         messages.append(encode("FIELD", _vector(correlation) | {"cycle_low": low}, node=NODE, index=code))
     return messages
+
+
+def cycle_samples(cycle, seed, noise_T, fields):
+    """The samples of a cycle, T, shape (1023, 3)."""
+    noise = np.random.default_rng([seed, cycle]).normal(scale=noise_T, size=(1023, 3))
+    return CHIPS @ fields + ATTITUDE.inv().apply(EARTH_T) + noise
+
+
+def block_messages(cycle, seed=1, noise_T=2e-7):
+    """What a sensor sends of the 33 blocks of a cycle, a list for each; they are of the samples of `cycle_messages`."""
+    samples = cycle_samples(cycle, seed, noise_T, beacon_fields())
+    blocks = []
+    for number in range(33):
+        part = slice(31 * number, 31 * (number + 1))
+        low = {"block_low": (33 * cycle + number) % 16}
+        plain = _vector(samples[part].mean(axis=0)) | low | {"cycle_low": cycle % 8}
+        sums = CHIPS[part].T @ samples[part] / 31
+        blocks.append(
+            [encode("BLOCK", plain, node=NODE, index=31 * number)]
+            + [encode("BLOCK_SUM", _vector(row) | low, node=NODE, index=c) for c, row in zip(CODES, sums, strict=True)]
+        )
+    return blocks
 
 
 def _vector(values):

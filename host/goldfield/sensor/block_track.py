@@ -91,9 +91,9 @@ class BlockTrack:
             begin_s = self.time_s
         poses = self._bridged(block, begin_s)
         pose = self._follower.update(block, without, ratio)
-        if pose is None:
-            return poses
-        self._last = block
+        if pose is None:  # as if it had been lost: the next one bridges it, too
+            return []
+        self._last, self._skips = block, False
         poses += [self._at(time_s, pose) for time_s in self._times.due(block, begin_s, block.time_s)]
         for cycle, end_s in self._times.ends(block, begin_s, block.time_s):
             self._keep(cycle, self._at(end_s, pose))
@@ -125,13 +125,12 @@ class BlockTrack:
 
     def _bridged(self, block: Block, begin_s: float) -> list[Pose]:
         """Return the poses due between the block before and this one, from the former; keep those of cycles."""
-        last, skips = self._last, self._skips
-        self._skips = False
+        last = self._last
         if last is None or not 0.0 < begin_s - last.time_s <= GAP_S:
             return []
         for cycle, end_s in self._times.ends(last, last.time_s, begin_s):
             self._keep(cycle, self._at(end_s))
-        return [] if skips else [self._at(time_s) for time_s in self._times.due(block, last.time_s, begin_s)]
+        return [] if self._skips else [self._at(time_s) for time_s in self._times.due(block, last.time_s, begin_s)]
 
     def _at(self, time_s: float, pose: Pose | None = None) -> Pose:
         """Return the pose at a time, which is the pose at the end of the latest block if that is its time."""

@@ -28,6 +28,9 @@ from goldfield.site import Site
 from goldfield.types import Explanation, Fields, Finding, Pose
 from goldfield_protocol.parameters import counter_name
 
+CYCLES_AT_ONCE = 3
+"""Cycles whose reports may come in a row, where a sensor restarts, although its blocks come all the time."""
+
 
 @dataclass(frozen=True, eq=False)
 class Epoch:
@@ -132,6 +135,8 @@ class Sensor:
         # Nobody waits for the next pose of a recording: a second thread would only cost time.
         self._aside = ThreadPoolExecutor(1, "judge") if isinstance(source, BusSource) else None
         self._between = _between(site, self._options, self._aside)
+        self._in_a_row = CYCLES_AT_ONCE
+        """Cycles since the latest block or pose of a block; at the begin so many that the first one tells."""
         self._session = Session(
             source,
             name,
@@ -197,6 +202,7 @@ class Sensor:
                 self._found = True
                 yield self._epoch(event)
             elif self._between is not None:
+                self._in_a_row = 0
                 receiver = self._session.receiver
                 arrived_s, taken_cpu_s = receiver.arrived_s, receiver.taken_cpu_s
                 if self._session.backlog.broke():
@@ -357,7 +363,9 @@ class Sensor:
             pose = self._between.of_cycle(report)
             asked = self._options.rate_hz is not None or self._options.lag_s is not None
             at_rate = asked and self._between.follows(report)
-            if asked and not at_rate and not self._session.backlog.let_go:
+            self._in_a_row += 1
+            absent = self._in_a_row > CYCLES_AT_ONCE and not self._session.backlog.let_go
+            if asked and not at_rate and absent:
                 self._session.receiver.tell_once(self._between.absent)
         pose = self._succession.follow(pose) if pose is not None else self._locate(without(fields, named), report)
         missing = tuple(name for name in named if name in fields.beacons and name not in pose.excluded)
