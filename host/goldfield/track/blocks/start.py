@@ -18,7 +18,8 @@ AMBIENT_T = 5e-6
 """Deviation of the ambient field of a start beside its noise."""
 
 FARTHEST_M = 1e4
-"""Deviation of a position from which on it is none to begin with; that of one which the fields do not tell is 1 km."""
+"""Deviation of a position from which on it is none to begin with; that of one which the fields do not tell is 1 km.
+Neither is one that is so far from every coil along an axis: codes that are interchanged put it at 1e70 m."""
 
 PATIENCE = 5
 """So many single blocks in a row that do not agree with the site are enough: the track begins, and says so."""
@@ -110,10 +111,11 @@ class Starter:
         kept = tuple(one.without(out) for one in forms) if begun else ()
         return pose, [self._start(one, ambient, kept) for one in begun]
 
-    @staticmethod
-    def _somewhere(pose: Pose) -> bool:
+    def _somewhere(self, pose: Pose) -> bool:
         """Tell whether a pose is one to begin with: beside a wire its covariance may be beyond all bounds."""
-        return bool(np.trace(pose.position_cov_m2) < FARTHEST_M**2 and np.isfinite(pose.attitude_cov_rad2).all())
+        near = np.abs(pose.position_m - self._locator.model.centre_m).max(axis=1).min() < FARTHEST_M
+        known = np.trace(pose.position_cov_m2) < FARTHEST_M**2 and np.isfinite(pose.attitude_cov_rad2).all()
+        return bool(near and known)
 
     def _slopes(self, field_T: FloatArray, ambient_T: FloatArray) -> FloatArray:
         """Return how fast the fields of a sensor in motion may change, shape (n + 1,), T/s: a dipole by 3 B/r."""

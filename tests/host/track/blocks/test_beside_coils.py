@@ -49,13 +49,13 @@ def test_a_track_beside_a_wire_goes_on_and_its_covariances_are_some(kernel, seed
 class Beside:
     """Locates a sensor at two places alike, at the first of them with some deviation."""
 
-    def __init__(self, model, deviation_m):
-        self.model, self.deviation_m = model, deviation_m
+    def __init__(self, model, deviation_m, place_m=BESIDE_M):
+        self.model, self.deviation_m, self.place_m = model, deviation_m, place_m
 
     def locate(self, fields):
         one = Pose(
-            fields.epoch, fields.time_s, BESIDE_M, np.array([0.0, 0.0, 0.0, 1.0]), 1e-6 * np.eye(3), 1e-4 * np.eye(3),
-            1.0, Status.AMBIGUOUS, fields.beacons,
+            fields.epoch, fields.time_s, self.place_m, np.array([0.0, 0.0, 0.0, 1.0]), 1e-6 * np.eye(3),
+            1e-4 * np.eye(3), 1.0, Status.AMBIGUOUS, fields.beacons,
         )  # fmt: skip
         far = np.diag([self.deviation_m**2, 1e-6, 1e-6])
         return replace(one, position_cov_m2=far, alternative=replace(one, position_m=BESIDE_M + 0.01))
@@ -71,3 +71,15 @@ def test_no_track_begins_with_a_pose_that_is_nowhere(deviation_m, count):
     _, starts = starter.located(equations.form(block), 0, block.time_s)
     assert len(starts) == count
     assert starts[-1].position_m == pytest.approx(BESIDE_M + 0.01)
+
+
+@pytest.mark.parametrize(("far_m", "count"), [(0.99 * FARTHEST_M, 2), (1.01 * FARTHEST_M, 1), (1e77, 1), (np.nan, 1)])
+def test_no_track_begins_far_from_all_coils(far_m, count):
+    """1e77 m, which codes that are interchanged gave, is beyond single precision: the track was not a number."""
+    stream = streamed(ROOM, at_rest(BESIDE_M), 0.01, NOISE_T, np.random.default_rng(1))
+    equations = BlockEquations(stream.site)
+    starter = Starter(stream.site, equations)
+    starter._locator = Beside(starter._locator.model, 1e-3, BESIDE_M + np.array([0.0, far_m, 0.0]))
+    block = stream.blocks()[0]
+    _, starts = starter.located(equations.form(block), 0, block.time_s)
+    assert len(starts) == count
