@@ -17,10 +17,16 @@ from goldfield.view.latency import Latency
 from goldfield.view.terminal import WIDTH
 from goldfield.view.truth import NO_ERROR, PoseError
 
+_What = tuple[Explanation, tuple[str, ...], str]
+"""What findings over a run are counted together: `_what`."""
+
+TOLD = (Explanation.CLOCK, Explanation.BOARD)
+"""Kinds of what boards say: if it is about no beacon, each sentence is another matter."""
+
 
 @dataclass
 class _Found:
-    """One kind of finding about the same beacons, over a run."""
+    """What is one `_What`, over a run."""
 
     count: int = 0
     last: Finding | None = None
@@ -83,7 +89,7 @@ class Summary:
     dropped: dict[str, int] = field(default_factory=dict)
     latency: Latency = field(default_factory=Latency)
     _excluded: Counter[str] = field(default_factory=Counter)
-    _found: dict[tuple[Explanation, tuple[str, ...]], _Found] = field(default_factory=dict)
+    _found: dict[_What, _Found] = field(default_factory=dict)
     _reasons: dict[Status, _Said] = field(default_factory=dict)
     _position_m: list[float] = field(default_factory=list)
     _attitude_rad: list[float] = field(default_factory=list)
@@ -94,8 +100,8 @@ class Summary:
         self.lost_messages += lost
         self.statuses[pose.status] += 1
         self._excluded.update(pose.excluded if pose.used else ())
-        for finding in pose.findings:
-            self._found.setdefault((finding.kind, finding.beacons), _Found()).add(finding)
+        for key, finding in {_what(finding): finding for finding in pose.findings}.items():
+            self._found.setdefault(key, _Found()).add(finding)
         if pose.reason is not None and not pose.findings:
             self._reasons.setdefault(pose.status, _Said()).add(pose.reason)
         if pose.status is Status.OK and math.isfinite(error.position_m) and math.isfinite(error.attitude_rad):
@@ -138,7 +144,7 @@ class Summary:
     def _about_beacons(self) -> list[str]:
         lines: list[str] = []
         told: set[str] = set()
-        for (kind, beacons), found in sorted(self._found.items(), key=lambda item: -item[1].count):
+        for (kind, beacons, _), found in sorted(self._found.items(), key=lambda item: -item[1].count):
             left_out = [name for name in beacons if self._excluded[name] and name not in told]
             told.update(left_out)
             lines += [f"{self._left_out(name)}: {_summed_up(kind, found)}" for name in left_out]
@@ -164,6 +170,12 @@ class Summary:
             for name, n in self.dropped.items()
         ]
         return lines
+
+
+def _what(finding: Finding) -> _What:
+    """Return the kind of a finding and its beacons; of what a board says of none of them the sentence, too."""
+    told = finding.kind in TOLD and not finding.beacons
+    return finding.kind, finding.beacons, finding.text if told else ""
 
 
 def _summed_up(kind: Explanation, found: _Found) -> str:

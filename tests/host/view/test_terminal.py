@@ -118,6 +118,21 @@ def test_the_summary_tells_what_is_wrong_with_the_whole_site():
     assert max(map(len, lines)) <= WIDTH
 
 
+def test_the_summary_counts_what_boards_say_by_the_sentence_and_once_a_pose():
+    """Two sentences of one kind were counted together: in 1947 of 1462, such as the last."""
+    summary, twice, jumped = Summary(), "cycles come twice", "the numbers of the cycles jumped"
+    both = tuple(Finding(Explanation.CLOCK, (), text) for text in (twice, jumped))
+    silent = tuple(Finding(Explanation.BOARD, ("b1",), text) for text in ("b1 is silent", "no board of b1"))
+    summary.add(pose(0, findings=both, reason="both"))
+    summary.add(pose(1, findings=both[:1], reason=twice))
+    summary.add(pose(2, findings=silent, reason="silent"))
+    assert summary.text(truth=False).splitlines()[1:] == [
+        f"in 2 of 3: {twice}",
+        f"in 1 of 3: {jumped}",
+        "in 1 of 3: no board of b1",
+    ]
+
+
 def test_the_summary_gives_an_example_of_reasons_that_differ():
     summary = Summary()
     for metres in (0.6, 0.7):
