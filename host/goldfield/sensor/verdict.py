@@ -37,6 +37,8 @@ CURRENT_TOLD = 0.02
 """A current that differs by a larger share from the site's is told."""
 CURRENT_USED = 0.002
 """A current that differs by a smaller share is taken as the site's: the reports scatter by so much."""
+CURRENT_NONE = 0.01
+"""A current that is a smaller share of the site's is none: its field says nothing, or its measurement does not."""
 
 
 @dataclass(frozen=True)
@@ -198,6 +200,12 @@ def _of_beacon(health: Health, known: _Known) -> Verdict:
     if abs(ratio - 1.0) <= CURRENT_USED:
         return Verdict()
     findings: tuple[Finding, ...] = ()
+    if ratio < CURRENT_NONE:
+        text = (
+            f"{name}'s board (node {board.node}) is to drive {abs(drive.target_A):g} A and measures none: check its "
+            "coil and its cable"
+        )
+        return Verdict(out=(name,), findings=(_board((name,), text, factor=0.0),))
     if abs(ratio - 1.0) > CURRENT_TOLD:
         text = (
             f"{name}'s board (node {board.node}) measures another current than the site's {abs(site_A):g} A, by "

@@ -430,6 +430,17 @@ def test_a_measured_current_is_told_from_two_percent_on_and_has_no_sign(bus, cur
     assert [finding.factor for finding in verdict.findings] == ([pytest.approx(abs(current) / 10.0)] if told else [])
 
 
+@pytest.mark.parametrize("current", [0.0, 0.099, -0.099])
+def test_a_beacon_whose_board_measures_no_current_is_left_out(bus, current):
+    """Its field was divided by nothing."""
+    bus.say(drive(3, current=current), drive(3, current=current))
+    verdict = bus.judge()
+    assert (verdict.out, verdict.ratio) == (("b3",), {})
+    assert texts(verdict) == ["b3's board (node 3) is to drive 10 A and measures none: check its coil and its cable"]
+    bus.say(drive(3, current=0.101), drive(3, current=0.101))
+    assert bus.judge().ratio == {"b3": pytest.approx(0.0101)}
+
+
 def test_a_current_is_used_for_half_a_second(bus):
     bus.say(drive(2, current=11.0), drive(2, current=11.0))
     cycles = math.floor(verdicts.HEARD_S / CYCLE_S)
