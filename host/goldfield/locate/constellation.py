@@ -16,7 +16,7 @@ from goldfield.locate.chances import chdtri, gammaincc
 from goldfield.locate.fault_statistics import fault_statistics
 from goldfield.locate.field_shell_search import Shell, best_apart, profiled_attitude, profiled_loss
 from goldfield.locate.fit import Fit, Measurements, fit_pose, stacked
-from goldfield.locate.mirror import Mirror, find_mirror
+from goldfield.locate.mirror import Mirror, find_mirrors
 from goldfield.locate.solutions import Solutions, nowhere, unsolved
 from goldfield.locate.starts import MAGNITUDE_ERROR, SIMPLE_RANGE_ERROR, log_magnitudes, simple_magnitudes
 from goldfield.locate.wahba import wahba
@@ -44,6 +44,10 @@ OUTSTANDING = 7.0
 
 SURE_RADII = 1.5
 """Distance from every coil, in its radii, for the same: nearer the valleys of the cost bend."""
+
+SPREAD = 0.25
+"""Second largest extent of those beacons over the largest, and over their distance, for the same: coils on a line have
+nearly the same fields at other places around it, and coils around a point at the place across it."""
 
 MOST_EVALUATIONS = LEAST_EVALUATIONS
 """Evaluations of the field that a search may take if the budget of an epoch allows; the median is 600, near coils
@@ -102,9 +106,9 @@ class Constellation:
         self._subsets: dict[bytes, Constellation] = {}
 
     @cached_property
-    def mirror(self) -> Mirror | None:
-        """Plane of the beacons, if they have one."""
-        return find_mirror(self.model)
+    def mirrors(self) -> tuple[Mirror, ...]:
+        """Maps of poses to others that may fit as well."""
+        return find_mirrors(self.model)
 
     def subset(self, rows: NDArray[np.intp]) -> Constellation:
         """Return the constellation of some of the beacons; remembered."""
@@ -165,8 +169,12 @@ class Constellation:
                 one = np.array([e])
                 known = solutions.best.take(one)
                 solutions.put(one, self._search_shell(measurements.take(one), known, most_evaluations))
-        if self.mirror is not None:
-            self._reflect(measurements, solutions)
+        for mirror in self.mirrors:
+            rows = np.flatnonzero(mirror.concerns(solutions.best.position_m))
+            if len(rows):
+                some = solutions.take(rows)
+                self._reflect(measurements.take(rows), some, mirror)
+                solutions.put(rows, some)
         return self._sided(solutions)
 
     def _enough(self, measurements: Measurements, fit: Fit, *, strict: bool) -> NDArray[np.bool_]:
@@ -201,11 +209,24 @@ class Constellation:
     def sure(self, measurements: Measurements, fit: Fit) -> NDArray[np.bool_]:
         """Tell which fields that fit a pose, shape (e,), can fit no other.
 
-        No other was found in trials where `SURE_BEACONS` stand out of the noise and no coil is near.
+        No other was found in trials where `SURE_BEACONS` stand out of the noise, no coil is near, and those beacons are
+        neither near a line nor, for that distance, near a point (`SPREAD`).
         """
-        outstanding = (measurements.magnitude_T > OUTSTANDING * measurements.sigma_T).sum(axis=1)
+        outstanding = measurements.magnitude_T > OUTSTANDING * measurements.sigma_T
         distance = np.linalg.norm(fit.position_m[:, None] - self.model.centre_m, axis=2)
-        return np.asarray((outstanding >= SURE_BEACONS) & (distance > SURE_RADII * self.model.reach_m).all(axis=1))
+        sure = (outstanding.sum(axis=1) >= SURE_BEACONS) & (distance > SURE_RADII * self.model.reach_m).all(axis=1)
+        rows = np.flatnonzero(sure)
+        sure[rows] = self._spread(outstanding[rows], fit.position_m[rows])
+        return np.asarray(sure)
+
+    def _spread(self, some: NDArray[np.bool_], position_m: FloatArray) -> NDArray[np.bool_]:
+        """Tell where some of the beacons, shape (e, n), are spread well as seen from positions, shape (e, 3)."""
+        share = some / some.sum(axis=1, keepdims=True)
+        middle = share @ self.model.centre_m
+        offset = self.model.centre_m - middle[:, None]
+        extent2 = np.linalg.eigvalsh(np.einsum("en,eni,enj->eij", share, offset, offset))
+        away2 = ((position_m - middle) ** 2).sum(axis=1)
+        return np.asarray(extent2[:, 1] >= SPREAD**2 * np.maximum(extent2[:, 2], away2))
 
     def searched(
         self, measurements: Measurements, most_evaluations: int, *, at_any_cost: bool
@@ -368,16 +389,15 @@ class Constellation:
                 kept.append(int(i))
         return fits.take(np.array(kept if kept else [0], dtype=np.intp))
 
-    def _reflect(self, measurements: Measurements, solutions: Solutions) -> None:
-        """Try the images in the beacons' plane: the side where the sensor must be decides, else they are rivals.
+    def _reflect(self, measurements: Measurements, solutions: Solutions, mirror: Mirror) -> None:
+        """Try the images of poses: the side where the sensor must be decides, else they are rivals.
 
         The solutions are changed in place.
         """
-        assert self.mirror is not None
         best, rival, contested = solutions.best, solutions.rival, solutions.contested
-        image = self.mirror.image(best)
-        if self.mirror.exact:
-            other = self.mirror.image(rival)
+        image = mirror.image(best)
+        if mirror.exact:
+            other = mirror.image(rival)
             better = np.flatnonzero(contested & ~self.inside(rival.position_m) & self.inside(other.position_m))
             rival.put(better, other.take(better))
         else:
@@ -390,7 +410,7 @@ class Constellation:
         kept = best.take(swap)
         best.put(swap, image.take(swap))
         image.put(swap, kept)
-        solutions.covariance_widening[swap] = self.mirror.reflected(solutions.covariance_widening[swap])
+        solutions.covariance_widening[swap] = mirror.reflected(solutions.covariance_widening[swap])
         open_rows = np.flatnonzero(likely & (here == there))
         rival.put(open_rows, image.take(open_rows))
         contested[open_rows] = True

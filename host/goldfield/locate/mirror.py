@@ -1,9 +1,12 @@
-"""The exact images of a pose that some arrangements of coils have.
+"""The images of a pose that some arrangements of coils have.
 
 Coplanar coils that all point across their plane: a reflection through the plane leaves every such coil as it is (a
 magnetic moment is an axial vector), so the field at the image point is the field turned by half a turn about the
 normal, B(p') = N B(p), N = 2 n n' - I. Coils around one point: B(-r) = B(r). In both cases the image pose gives the
-very same measurements, whatever the sensor.
+very same measurements, whatever the sensor. Coils that are both have a third image, the one of the one by the other.
+
+What is nearly so has images that nearly fit: with coils that are a hundredth of the sensor's distance apart, the fields
+at the point across their middle differ by some per cent, which is less than the noise of many a sensor.
 """
 
 from __future__ import annotations
@@ -11,13 +14,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from goldfield.field import FieldModel
 from goldfield.locate.fit import Fit
 from goldfield.types import FloatArray
 
 FLAT = 0.25
-"""Thickness over extent of the beacons below which the image of a pose is tried as a rival, exact or not."""
+"""Thickness over extent of the beacons, and their extent over the distance to the sensor, below which the image of a
+pose is tried as a rival, exact or not."""
 
 EXACT = 1e-6
 """Relative thickness, and tilt of the axes, below which the image is taken as exact."""
@@ -35,12 +40,19 @@ class Mirror:
         What the map does to positions and to attitudes.
     exact : bool
         True if the image of a pose gives the same measurements exactly.
+    least_m : float
+        Distance from the fixed point from which on the image is worth a trial.
     """
 
     point_m: FloatArray
     reflection: FloatArray
     turn: FloatArray
     exact: bool
+    least_m: float = 0.0
+
+    def concerns(self, position_m: FloatArray) -> NDArray[np.bool_]:
+        """Tell which positions, shape (e, 3), are far enough for their image to be tried."""
+        return np.asarray(np.linalg.norm(position_m - self.point_m, axis=1) >= self.least_m)
 
     def image(self, fit: Fit) -> Fit:
         """Images of poses, with the same cost and the reflected information."""
@@ -59,23 +71,39 @@ class Mirror:
         return np.asarray(both @ matrix @ both.T)
 
 
-def find_mirror(model: FieldModel) -> Mirror | None:
-    """Return the map of coils around one point, or nearly in a plane and pointing across it; None if there is none."""
+def find_mirrors(model: FieldModel) -> tuple[Mirror, ...]:
+    """Return the maps of coils nearly in a plane and pointing across it, of coils around a point, and of both."""
     middle = model.centre_m.mean(axis=0)
-    _, extent, directions = np.linalg.svd(model.centre_m - middle, full_matrices=True)
-    if extent[0] <= EXACT * model.reach_m.min():
-        return Mirror(middle, -np.eye(3), np.eye(3), exact=not len(model.wire_points_m))
-    normal = directions[2]
+    offset = model.centre_m - middle
+    plane, centre = _plane(model, middle, offset), _centre(model, middle, offset)
+    if plane is None or centre.exact:  # coils that are exactly both have a ring of poses, not images
+        return (centre,)
+    both = Mirror(middle, -plane.reflection, plane.turn, exact=False, least_m=centre.least_m)
+    return plane, centre, both
+
+
+def _centre(model: FieldModel, middle: FloatArray, offset: FloatArray) -> Mirror:
+    """Return the map to the other side of the middle of all coils."""
+    extent = float(np.linalg.norm(offset, axis=1).max())
+    exact = extent <= EXACT * model.reach_m.min() and not len(model.wire_points_m)
+    return Mirror(middle, -np.eye(3), np.eye(3), exact, 0.0 if exact else extent / FLAT)
+
+
+def _plane(model: FieldModel, middle: FloatArray, offset: FloatArray) -> Mirror | None:
+    """Return the map through the plane in which all coils nearly lie and across which they point, if there is one.
+
+    Its normal is where the spread of the places, over their extent, less that of the axes is least: of coils on a line,
+    which lie in many planes, the axes tell which it is.
+    """
+    extent = max(float(np.linalg.svd(offset, compute_uv=False)[0]), np.finfo(float).tiny)
     axis = model.moment_A_m2 / np.linalg.norm(model.moment_A_m2, axis=1, keepdims=True)
-    if extent[1] <= 1e-9 * extent[0]:
-        # Beacons on a line lie in many planes: the one that their axes cross, if there is one.
-        normal = axis.mean(axis=0) - (axis.mean(axis=0) @ directions[0]) * directions[0]
-        normal = normal / max(float(np.linalg.norm(normal)), 1e-300)
-    thickness = float(np.abs((model.centre_m - middle) @ normal).max() / extent[0])
+    scaled = offset / extent
+    normal = np.linalg.eigh(scaled.T @ scaled - axis.T @ axis / len(axis))[1][:, 0]
+    thickness = float(np.abs(scaled @ normal).max())
     tilt = float(np.sqrt(np.maximum(1.0 - (axis @ normal) ** 2, 0.0)).max())
     if thickness > FLAT or tilt > FLAT:
         return None
-    wires = float(np.abs((model.wire_points_m - middle) @ normal).max(initial=0.0) / extent[0])
-    exact = max(thickness, tilt, wires) <= EXACT
+    wires = float(np.abs((model.wire_points_m - middle) @ normal).max(initial=0.0) / extent)
     across = np.outer(normal, normal)
+    exact = max(thickness, tilt, wires) <= EXACT
     return Mirror(middle, np.eye(3) - 2.0 * across, 2.0 * across - np.eye(3), exact)

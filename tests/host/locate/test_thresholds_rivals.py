@@ -18,7 +18,6 @@ from goldfield.locate.constellation import Constellation
 from goldfield.locate.distorted import Distorted
 from goldfield.locate.exclusion import Subsets, without_one
 from goldfield.locate.fit import Measurements, fit_pose
-from goldfield.locate.mirror import find_mirror
 from goldfield.locate.protection import level_of
 from goldfield.locate.sensor_rivals import SensorRival
 from goldfield.locate.solutions import unsolved
@@ -296,47 +295,6 @@ def test_a_new_place_is_told_if_it_is_no_further_than_the_sensor(row, direction,
     assert (finding.kind is Explanation.MOVED) == found
     if found:
         np.testing.assert_allclose(finding.position_m, moved[row].position_m, atol=1e-3)
-
-
-def square(thickness=0.0, tilt=0.0):
-    """Four coils on the arms of a cross of 1 m, in turn above and below a plane, all leaning outwards."""
-    beacons = []
-    for i, (x, y) in enumerate([(1, 0), (-1, 0), (0, 1), (0, -1)]):
-        axis = [tilt * x, tilt * y, float(np.sqrt(1.0 - tilt**2))]
-        beacons.append(bench.loop_beacon(i, (x, y, thickness if x else -thickness), axis))
-    return FieldModel(beacons)
-
-
-EXTENT = np.sqrt(2.0)  # The largest singular value of the cross.
-
-
-@pytest.mark.parametrize(
-    ("thickness", "tilt", "flat"),
-    [(0.249 * EXTENT, 0.0, True), (0.251 * EXTENT, 0.0, False), (0.0, 0.249, True), (0.0, 0.251, False)],
-)
-def test_an_image_is_tried_for_coils_flat_to_a_quarter(thickness, tilt, flat):
-    mirror = find_mirror(square(thickness, tilt))
-    assert (mirror is not None) == flat
-    assert mirror is None or not mirror.exact
-
-
-@pytest.mark.parametrize(
-    ("thickness", "tilt", "exact"),
-    [(0.9e-6 * EXTENT, 0.0, True), (1.1e-6 * EXTENT, 0.0, False), (0.0, 0.9e-6, True), (0.0, 1.1e-6, False)],
-)
-def test_an_image_is_exact_for_coils_flat_to_a_millionth(thickness, tilt, exact):
-    mirror = find_mirror(square(thickness, tilt))
-    assert mirror is not None
-    assert mirror.exact == exact
-
-
-@pytest.mark.parametrize(("share", "antipode"), [(0.9, True), (1.1, False)])
-def test_coils_around_one_point_have_an_antipode(share, antipode):
-    apart = share * 1e-6 * FieldModel([bench.loop_beacon(0, (0, 0, 0))]).reach_m.min() / np.sqrt(2.0)
-    axes = [(1, 0, 0), (0, 1, 0), (0, 0, 1)]
-    places = [(apart, 0, 0), (-apart, 0, 0), (0, 0, 0)]
-    mirror = find_mirror(FieldModel([bench.loop_beacon(i, places[i], axes[i]) for i in range(3)]))
-    assert (mirror is not None and np.allclose(mirror.reflection, -np.eye(3))) == antipode
 
 
 @pytest.mark.parametrize(("without", "risk"), [(0.0, 1e-7), (8.0, 1e-3)])
