@@ -10,8 +10,8 @@
  * brown-out reset (level 3 of the option bytes, set by make flash) strikes at 2.75 to 2.88 V, on some chips first;
  * without it this alarm is all there is.
  *
- * The non-maskable interrupt may come in the middle of any handler. It touches the bridges and the clocks only;
- * bridge_trip() leaves what the application is to hear to a handler of the drive's priority.
+ * Both may come in the middle of any handler, as the currents' takes too long to wait for. They touch the bridges and
+ * the clocks only; bridge_trip() leaves what the application is to hear to a handler of the drive's priority.
  */
 
 #include "boards/stm32f405/stm32f405.h"
@@ -22,7 +22,7 @@ void alarms_start(const hal_t *hal) {
     RCC->APB1ENR |= RCC_APB1ENR_PWREN;
     EXTI->RTSR |= EXTI_PVD; /* The detector's output rises when the supply falls. */
     EXTI->IMR |= EXTI_PVD;
-    interrupt_enable(IRQ_PVD, PRIORITY_DRIVE);
+    interrupt_enable(IRQ_PVD, PRIORITY_OFF);
     /* A peripheral answers a few cycles after its clock is on (ES0182): reading it back and the lines above take
      * longer. */
     (void)RCC->APB1ENR;

@@ -21,9 +21,9 @@
  * A file calls only those above it in this list. Functions are declared below by file.
  *
  * Priorities (a lower number preempts)
- *   0   the end of two chips without a current: bridges off
+ *   0   the end of two chips without a current, a supply that falls: bridges off
  *   1   time stamps of CAN frames and of the sync wire
- *   2   coil currents, temperature, faults of the drive, alarms, and frames received on CAN
+ *   2   coil currents, temperature, faults of the drive, and frames received on CAN
  *   3   every other handler
  *   4   the 10 ms tick
  * The core's erratum 776924 (VDIV and VSQRT with lazy stacking) asks that a handler has more than two instructions

@@ -8,6 +8,7 @@ from hil_sim.emulator.emulator import Configuration, Emulator
 from tests.firmware.host_rig import MS, PIN_ENABLE, ROOT, SECOND, US, Coil, beacon
 
 CHIP = 98 * US
+XPSR, ADC_EXCEPTION = 16, 16 + 18  # emulator.h; RM0090, table 62
 CLOCK_FALLBACK, CLOCK_COUNTER, DIPS_COUNTER = 5, 7, 18
 SUPPLY_LOW = 9  # firmware/core/drive/cause.h
 ROLES = ["beacon", "sensor", "anchor"]
@@ -63,6 +64,19 @@ def test_a_supply_that_falls_switches_the_coil_off_and_is_counted(driving):
     driving.run(2500 * MS)
     assert counters(driving)[DIPS_COUNTER] == 1
     assert driving.messages("DRIVE_HEALTH")[-1].signals["cause"] == SUPPLY_LOW
+
+
+def test_a_supply_that_falls_waits_for_no_handler(driving):
+    """It falls as soon as a handler of the currents runs, which takes 2 us and more."""
+    time = 1500 * MS
+    while driving.emulator.register(XPSR) & 0x1FF != ADC_EXCEPTION:
+        time += US // 4
+        assert time < 1500 * MS + 2 * CHIP
+        driving.run(time)
+    driving.emulator.supply(2.75, time)
+    driving.run(time + MS)
+    [off] = driving.edges(PIN_ENABLE, False)
+    assert 0 <= off - time <= US
 
 
 def test_a_supply_within_its_tolerance_is_none_of_the_alarms_business(driving):
