@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "core/drive/thermistor.h"
+#include "core/link/spread.h"
 #include "goldfield.h"
 
 static void drive_stop(drive_t *drive) {
@@ -68,6 +69,13 @@ static void halve(drive_t *drive, hal_plan_t *plan, uint32_t block) {
     drive->halve_to = drive->halve_to == HAL_BLOCK_CHIPS ? HAL_BLOCK_CHIPS : 0u;
 }
 
+/* Returns whether a block that begins with this chip of the sync period is the one in which the board tells its status.
+ * Each period has exactly one, whatever its blocks begin with, as a place is as long as a block. */
+static bool own_place(const drive_t *drive, uint32_t chip) {
+    const uint32_t places = drive->timing->clock.config.chips / HAL_BLOCK_CHIPS;
+    return chip / HAL_BLOCK_CHIPS == spread_place(drive->node->id, places);
+}
+
 void drive_plan(drive_t *drive, uint32_t block, hal_plan_t *plan) {
     timing_t *const timing = drive->timing;
     timing_serve(timing, drive->node->hal);
@@ -109,6 +117,7 @@ void drive_plan(drive_t *drive, uint32_t block, hal_plan_t *plan) {
     }
     drive->sync_due |= timing->announce;
     timing->announce = false;
+    drive->statuses += own_place(drive, positions[0]) ? 1u : 0u;
     for (uint32_t channel = 0; channel < drive->channels; channel++) {
         plan_channel(drive, plan, block, channel, first, positions);
     }
@@ -268,6 +277,7 @@ void drive_start(drive_t *drive, node_t *node, timing_t *timing) {
     memset(drive, 0, sizeof *drive);
     drive->node = node;
     drive->timing = timing;
+    drive->health_us = node->heartbeat_us; /* The first one comes with the next. */
     drive->channel = DRIVE_COMMON;
     const bool watchdog = hal_last_reset(node->hal)->cause == HAL_RESET_WATCHDOG;
     latch_start(&drive->latch, hal_retained(node->hal), watchdog, hal_microseconds(node->hal));

@@ -67,23 +67,28 @@ static void send_health(drive_t *drive, uint32_t channel, uint64_t now_us) {
     node_send(drive->node, NODE_BOTH, GOLDFIELD_DRIVE_HEALTH_FRAME_ID, channel, data, length);
 }
 
-/* Returns what a host should hear at once when it changes. */
+/* Returns what a host should hear at once when it changes: else it might take a cycle's fields for those of a current
+ * that had ended in it. */
 static uint8_t urgent(const drive_t *drive) {
+    const bool on = drive->phase == DRIVE_ON;
     const bool lost = drive->current[0].headroom_lost || drive->current[1].headroom_lost;
-    return (uint8_t)(drive->latch.cause << 1 | (drive->phase == DRIVE_ON && lost));
+    return (uint8_t)((uint32_t)drive->latch.cause << 3 | (on && lost ? 4u : 0u) | (on ? 2u : 0u) |
+                     (drive->timing->clock.locked ? 1u : 0u));
 }
 
 void drive_report(drive_t *drive) {
-    if (drive->cycles_reported != drive->cycles) {
-        drive->cycles_reported = drive->cycles;
+    const uint8_t now = urgent(drive);
+    const bool changed = now != drive->urgent_told;
+    drive->urgent_told = now;
+    if (changed || drive->statuses_told != drive->statuses) {
+        drive->statuses_told = drive->statuses;
         for (uint32_t channel = 0; channel < drive->channels; channel++) {
             send_status(drive, channel);
         }
     }
-    const uint64_t now_us = hal_microseconds(drive->node->hal);
-    if (now_us - drive->health_us >= NODE_HEARTBEAT_US || urgent(drive) != drive->health_told) {
-        drive->health_us = now_us;
-        drive->health_told = urgent(drive);
+    if (changed || drive->health_us != drive->node->heartbeat_us) {
+        drive->health_us = drive->node->heartbeat_us;
+        const uint64_t now_us = hal_microseconds(drive->node->hal);
         for (uint32_t channel = 0; channel < drive->channels; channel++) {
             send_health(drive, channel, now_us);
         }

@@ -1,5 +1,9 @@
-/* drive_report.h: tells a host how a drive fares: DRIVE_STATUS once a sync period, DRIVE_HEALTH once a second and when
- * the cause for which the drive is off or its headroom changes, of each channel that is driven; index is the channel.
+/* drive_report.h: tells a host how a drive fares: DRIVE_STATUS once a sync period, DRIVE_HEALTH with each heartbeat, of
+ * each channel that is driven; index is the channel. Both come at once, too, when the bridges go on or off, the clock
+ * finds or loses its lock, or the cause for which the drive is off or its headroom changes.
+ *
+ * A board's DRIVE_STATUS comes in the block of the period that its number tells (spread.h), counted in the chips of the
+ * code: so those of all beacons do not hold up what their sensors send.
  *
  * DRIVE_STATUS. While the bridges are off current and reference are 0 A.
  *   target                   is the amplitude parameter: the current at level 1, the peak of the waveform (superposed

@@ -67,11 +67,12 @@ typedef struct {
     latch_t latch;
     volatile uint8_t channel; /* The channel of the latched cause, or DRIVE_COMMON. */
     drive_limits_t limits;
-    uint64_t health_us;                        /* When DRIVE_HEALTH was sent last, */
-    uint8_t health_told;                       /* and what it told that is worth an answer at once. */
+    uint64_t health_us;                        /* The heartbeat with which DRIVE_HEALTH was sent last, */
+    uint8_t urgent_told;                       /* and what was told last that is worth telling at once. */
     volatile uint32_t over_current, open_coil; /* Events since reset. */
     volatile uint32_t cycles;                  /* Sync periods begun, as planned. */
-    uint32_t cycles_reported;                  /* The value of cycles when DRIVE_STATUS was sent last. */
+    volatile uint32_t statuses;                /* How often the board's own place in a sync period was planned, */
+    uint32_t statuses_told;                    /* and its value when DRIVE_STATUS was sent last. */
     volatile uint8_t sync_blocks;              /* Blocks that have yet to begin before a master's SYNC may leave: the
                                                   sync wire's edge is then past. */
     volatile bool sync_due;                    /* They have begun: SYNC is to be sent. */

@@ -39,10 +39,11 @@
 #include "services/storage.h"
 #include "services/update.h"
 
-#define NODE_QUEUE_MESSAGES 128u     /* Messages that the queue of each link holds. */
-#define NODE_HEARTBEAT_US   1000000u /* Time from one heartbeat to the next, us. */
-#define NODE_CAN_GIVE_UP_US 100000u  /* Time without a message taken after which CAN counts as dead, us. */
-#define NODE_CAN_BACKLOG    32u      /* Most messages that may wait for CAN where one of the motion is added. */
+#define NODE_QUEUE_MESSAGES   128u     /* Messages that the queue of each link holds. */
+#define NODE_HEARTBEAT_US     1000000u /* Time from one heartbeat to the next, us. */
+#define NODE_HEARTBEAT_PLACES 99u      /* Places of a second in which a board's may be (spread.h). */
+#define NODE_CAN_GIVE_UP_US   100000u  /* Time without a message taken after which CAN counts as dead, us. */
+#define NODE_CAN_BACKLOG      32u      /* Most messages that may wait for CAN where one of the motion is added. */
 
 /* What a board is doing; the numbers are those of HEARTBEAT.state. */
 typedef enum {

@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "core/link/messages.h"
+#include "core/link/spread.h"
 #include "goldfield.h"
 #include "protocol_hash.h"
 #include "services/requests.h"
@@ -34,6 +35,13 @@ static void collect_counters(node_t *node) {
     counters[COUNTER_CLOCK_FALLBACKS] = hal_clock(node->hal) != HAL_CLOCK_CRYSTAL;
     counters[COUNTER_MESSAGES_LOST] = node_count(node_count(node->serial.lost, node->can.lost),
                                                  node_count(node->can_lost, node->stream_lost));
+}
+
+/* Returns when the heartbeat before the first would have been: boards that are switched on together do not tell theirs
+ * together. */
+static uint64_t heartbeat_before(const node_t *node, uint64_t now_us) {
+    const uint32_t place_us = NODE_HEARTBEAT_US / NODE_HEARTBEAT_PLACES;
+    return now_us - spread_place(node->id, NODE_HEARTBEAT_PLACES) * place_us;
 }
 
 static uint8_t pack_heartbeat(const node_t *node, uint8_t data[8]) {
@@ -165,7 +173,7 @@ void upkeep_start(node_t *node, hal_t *hal, hal_role_t role) {
     requests_tell_last_reset(node, NODE_BOTH);
     update_start(&node->update, hal);
     node->drive_hold = node->under_way = update_holds(&node->update);
-    node->heartbeat_us = hal_microseconds(hal);
+    node->heartbeat_us = heartbeat_before(node, hal_microseconds(hal));
     liveness_start(&node->liveness, hal, role);
 }
 

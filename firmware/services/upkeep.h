@@ -1,6 +1,8 @@
 /* upkeep.h: what all applications do in the same way: they load their parameters, say hello, take what arrives on both
  * links, send a heartbeat each NODE_HEARTBEAT_US, and feed the watchdog.
  *
+ * Heartbeats. The first one leaves at the start, the second within a second, when the board's number tells (spread.h).
+ *
  * Calls, in the order they are made (all of them from main)
  *   1. upkeep_start  once, before anything else is started.
  *   2. upkeep_step   once a turn of the main loop.

@@ -120,7 +120,7 @@ def test_the_bus_is_as_busy_as_the_budget_says(streamed):
 
 def test_the_last_message_of_a_block_is_on_the_bus_within_two_milliseconds(streamed):
     """From the end of the block's last chip, by the master's wire: all but what the host takes of 2.5 ms (0.33 ms in
-    the median, docs/comparison.md). Once a cycle the DRIVE_STATUS of eight beacons may come between, 0.14 ms each."""
+    the median, docs/comparison.md). The DRIVE_STATUS of one beacon or two may come between, 0.14 ms each."""
     site = streamed.bench.site
     edges_s = streamed.bench.rig.sync_edges_s()
     chip_s = float(np.median(np.diff(edges_s))) / site.chips
@@ -130,4 +130,4 @@ def test_the_last_message_of_a_block_is_on_the_bus_within_two_milliseconds(strea
     assert len(delays_s) > 100
     print(f"CAN: from the last chip to the last message {1e3 * np.median(delays_s):.2f} ms, at most {max(delays_s)}")
     assert 1e-3 < np.median(delays_s) < 1.6e-3
-    assert max(delays_s) < 2.17e-3
+    assert max(delays_s) < 2.0e-3

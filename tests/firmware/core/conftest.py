@@ -28,6 +28,7 @@ HEADERS = (
     "core/drive/thermistor.h",
     "core/drive/waveform.h",
     "core/link/bus_share.h",
+    "core/link/spread.h",
     "core/link/frame.h",
     "core/link/messages.h",
     "core/link/queue.h",
