@@ -18,6 +18,7 @@ from goldfield.locate.field_shell_search import Shell, best_apart, profiled_atti
 from goldfield.locate.fit import Fit, Measurements, fit_pose, stacked
 from goldfield.locate.mirror import Mirror, find_mirrors
 from goldfield.locate.solutions import Solutions, nowhere, unsolved
+from goldfield.locate.spread import Spread
 from goldfield.locate.starts import MAGNITUDE_ERROR, SIMPLE_RANGE_ERROR, log_magnitudes, simple_magnitudes
 from goldfield.locate.wahba import wahba
 from goldfield.site import HalfSpace
@@ -44,10 +45,6 @@ OUTSTANDING = 7.0
 
 SURE_RADII = 1.5
 """Distance from every coil, in its radii, for the same: nearer the valleys of the cost bend."""
-
-SPREAD = 0.25
-"""Second largest extent of those beacons over the largest, and over their distance, for the same: coils on a line have
-nearly the same fields at other places around it, and coils around a point at the place across it."""
 
 MOST_EVALUATIONS = LEAST_EVALUATIONS
 """Evaluations of the field that a search may take if the budget of an epoch allows; the median is 600, near coils
@@ -109,6 +106,10 @@ class Constellation:
     def mirrors(self) -> tuple[Mirror, ...]:
         """Maps of poses to others that may fit as well."""
         return find_mirrors(self.model)
+
+    @cached_property
+    def _spread(self) -> Spread:
+        return Spread(self.model.centre_m)
 
     def subset(self, rows: NDArray[np.intp]) -> Constellation:
         """Return the constellation of some of the beacons; remembered."""
@@ -210,23 +211,14 @@ class Constellation:
         """Tell which fields that fit a pose, shape (e,), can fit no other.
 
         No other was found in trials where `SURE_BEACONS` stand out of the noise, no coil is near, and those beacons are
-        neither near a line nor, for that distance, near a point (`SPREAD`).
+        neither near a line nor, for that distance, near a point (`Spread`).
         """
         outstanding = measurements.magnitude_T > OUTSTANDING * measurements.sigma_T
         distance = np.linalg.norm(fit.position_m[:, None] - self.model.centre_m, axis=2)
         sure = (outstanding.sum(axis=1) >= SURE_BEACONS) & (distance > SURE_RADII * self.model.reach_m).all(axis=1)
         rows = np.flatnonzero(sure)
-        sure[rows] = self._spread(outstanding[rows], fit.position_m[rows])
+        sure[rows] = self._spread.good(outstanding[rows], fit.position_m[rows])
         return np.asarray(sure)
-
-    def _spread(self, some: NDArray[np.bool_], position_m: FloatArray) -> NDArray[np.bool_]:
-        """Tell where some of the beacons, shape (e, n), are spread well as seen from positions, shape (e, 3)."""
-        share = some / some.sum(axis=1, keepdims=True)
-        middle = share @ self.model.centre_m
-        offset = self.model.centre_m - middle[:, None]
-        extent2 = np.linalg.eigvalsh(np.einsum("en,eni,enj->eij", share, offset, offset))
-        away2 = ((position_m - middle) ** 2).sum(axis=1)
-        return np.asarray(extent2[:, 1] >= SPREAD**2 * np.maximum(extent2[:, 2], away2))
 
     def searched(
         self, measurements: Measurements, most_evaluations: int, *, at_any_cost: bool
