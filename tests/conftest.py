@@ -116,8 +116,9 @@ def pytest_collection_modifyitems(items):
     missing = [str(place) for place in (*long, *any_bench) if not place.exists()]
     if missing:
         raise pytest.UsageError(f"tests/conftest.py names places that are not there: {', '.join(missing)}")
+    of_long = {path: not set(long).isdisjoint((path, *path.parents)) for path in {item.path for item in items}}
     for item in items:
-        if any(item.path.is_relative_to(place) for place in long):
+        if of_long[item.path]:
             item.add_marker(pytest.mark.long)
         if item.path.is_relative_to(HERE / "hil") and item.path not in any_bench:
             item.add_marker(pytest.mark.simulated_bench)

@@ -36,6 +36,9 @@ def beacon_fields(position_m=POSITION_M, attitude=ATTITUDE):
     return np.array([attitude.inv().apply(coil.getB(position_m)) for coil in coils])
 
 
+FIELDS_T = beacon_fields()
+
+
 def gold_chips(code):
     """Chips of a shift code of degree 10, by two shift registers (IS-GPS-200), stage by stage."""
 
@@ -62,7 +65,7 @@ def heartbeat(node=NODE, role=1, hash_=None, state=3):
 
 def cycle_messages(cycle, seed=1, noise_T=2e-7, fields=None, codes=CODES, time_s=None):
     """What a sensor sends of one cycle, from 1023 noisy samples."""
-    samples = cycle_samples(cycle, seed, noise_T, beacon_fields() if fields is None else fields)
+    samples = cycle_samples(cycle, seed, noise_T, FIELDS_T if fields is None else fields)
     low = cycle % 16
     time_s = (cycle + 0.5) * CYCLE_S if time_s is None else time_s
     status = {
@@ -93,7 +96,7 @@ def cycle_samples(cycle, seed, noise_T, fields):
 
 def block_messages(cycle, seed=1, noise_T=2e-7):
     """What a sensor sends of the 33 blocks of a cycle, a list for each; they are of the samples of `cycle_messages`."""
-    samples = cycle_samples(cycle, seed, noise_T, beacon_fields())
+    samples = cycle_samples(cycle, seed, noise_T, FIELDS_T)
     blocks = []
     for number in range(33):
         part = slice(31 * number, 31 * (number + 1))
