@@ -9,13 +9,11 @@ from pathlib import Path
 import pytest
 
 from hil_sim.clib import ROOT
+from tests.objects import INCLUDES, SANITIZED, objects
 
 HERE = Path(__file__).parent
 CORE = sorted(path.stem for path in (HERE / "core").glob("*.c") if path.stem != "standalone")
 HOST = sorted(path.stem for path in (HERE / "host").glob("[a-z]*.py") if path.stem != "judging")
-SANITIZERS = ["-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all"]
-FLAGS = ["-std=c11", "-D_GNU_SOURCE", "-O1", "-g", *SANITIZERS]
-INCLUDES = [f"-I{ROOT / folder}" for folder in ("firmware", "build/protocol", "tests/fuzz/core")]
 BOARD = ("services", "apps", "boards/host")
 """What the harness of a whole board takes beside the core."""
 STRICT = ["-Wall", "-Wextra", "-Wconversion", "-Wsign-conversion", "-Wshadow", "-Werror"]
@@ -33,26 +31,18 @@ def test_every_harness_has_a_corpus_and_every_corpus_a_harness() -> None:
     assert all(len(corpus(target)) >= 2 for target in there)
 
 
-def compiled(sources: list[Path], folder: Path) -> list[str]:
-    """Compile sources in a folder of their own; return the objects. Their warnings are the build's to look at."""
-    folder.mkdir()
-    subprocess.run(["gcc", *FLAGS, "-w", *INCLUDES, "-c", *map(str, sources)], check=True, cwd=folder)
-    objects = sorted(str(path) for path in folder.glob("*.o"))
-    assert len(objects) == len(sources)
-    return objects
-
-
 def test_the_core_holds_over_its_corpora(tmp_path: Path) -> None:
     """The core is compiled once; what fails names the file and the line that does not hold."""
     firmware = ROOT / "firmware"
     sources = [*sorted(firmware.glob("core/*/*.c")), *sorted(firmware.glob("third_party/*/*.c"))]
     sources += [ROOT / "build" / "protocol" / "goldfield.c", HERE / "core" / "standalone.c"]
-    core = compiled(sources, tmp_path / "objects")
-    board = compiled([path for part in BOARD for path in sorted(firmware.glob(f"{part}/*.c"))], tmp_path / "board")
+    core = objects(sources)
+    board = objects(path for part in BOARD for path in sorted(firmware.glob(f"{part}/*.c")))
     for name in CORE:
         program, harness = tmp_path / f"run_{name}", HERE / "core" / f"{name}.c"
         parts = [str(harness), *core, *(board if name == "board" else [])]
-        subprocess.run(["gcc", *FLAGS, *STRICT, *INCLUDES, *parts, "-lm", "-o", str(program)], check=True)
+        flags = [*SANITIZED, *STRICT, *INCLUDES, f"-I{HERE / 'core'}"]
+        subprocess.run(["gcc", *flags, *parts, "-lm", "-o", str(program)], check=True)
         run = subprocess.run([program, *corpus(f"core/{name}")], capture_output=True, text=True)
         assert run.returncode == 0, f"{name}: {run.stderr[-3000:]}"
         assert run.stderr.count("\n") == len(corpus(f"core/{name}"))

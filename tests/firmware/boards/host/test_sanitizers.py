@@ -6,6 +6,7 @@ import subprocess
 from pathlib import Path
 
 from hil_sim.clib import ROOT
+from tests.objects import SANITIZED, objects
 
 
 def test_two_beacons_a_sensor_and_an_anchor_without_a_finding(tmp_path: Path) -> None:
@@ -16,9 +17,7 @@ def test_two_beacons_a_sensor_and_an_anchor_without_a_finding(tmp_path: Path) ->
         *(path for folder in folders for path in sorted((ROOT / "firmware").glob(f"{folder}/*.c"))),
         ROOT / "build/protocol/goldfield.c",
     ]
-    flags = ["-std=c11", "-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
-    includes = [f"-I{ROOT / folder}" for folder in ("firmware", "build/protocol")]
-    subprocess.run(["gcc", *flags, *includes, *map(str, sources), "-lm", "-o", str(program)], check=True)
+    subprocess.run(["gcc", *SANITIZED, *objects(sources), "-lm", "-o", str(program)], check=True)
     done = subprocess.run([program], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     master, follower, sensor, anchor = [[int(n) for n in line.split()] for line in done.stdout.splitlines()]
