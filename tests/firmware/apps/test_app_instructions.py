@@ -149,10 +149,10 @@ def image(tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory = tmp_path_factory.mktemp("instructions")
     source, elf = directory / "harness.c", directory / "apps.elf"
     source.write_text(HARNESS)
-    folders = ("apps", "services", "core/*", "third_party/*")
-    firmware = [path for folder in folders for path in sorted((ROOT / "firmware").glob(f"{folder}/*.c"))]
+    built, folders = ROOT / "build/firmware", ("apps", "services", "core/*", "third_party/*")
+    objects = [path for folder in folders for path in sorted((built / "firmware").glob(f"{folder}/*.o"))]
     includes = [f"-I{ROOT / path}" for path in ("firmware", "build/protocol")]
-    sources = [source, *firmware, ROOT / "build/protocol/goldfield.c"]
+    sources = [source, *objects, built / "protocol/goldfield.o"]
     keep = (
         "begin_beacon",
         "begin_sensor",
