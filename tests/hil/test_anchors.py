@@ -13,6 +13,8 @@ from goldfield.link.reports import Assembler
 from goldfield_protocol import FrameDecoder, decode
 from hil_sim.bench import SimulatedBench
 
+pytestmark = pytest.mark.slow  # on emulated boards: `make test-host-boards` runs it too
+
 CYCLES = 15
 LEAST_P = 1e-4
 SETTLED = 0.99

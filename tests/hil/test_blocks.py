@@ -12,6 +12,8 @@ from goldfield_protocol import decode, encode_frame
 from goldfield_protocol.parameters import PARAMETERS, Kind
 from hil_sim.bench import SimulatedBench
 
+pytestmark = pytest.mark.slow  # on emulated boards: `make test-host-boards` runs it too
+
 BLOCKS, POSE = PARAMETERS["blocks"].first, PARAMETERS["pose"].first
 BOTH_LINKS = 3
 CYCLES = 6

@@ -7,7 +7,7 @@ from tests.bench.cold_boots import boot
 SLOWEST = 2.5
 
 
-@pytest.mark.parametrize("seed", [7, 8])
+@pytest.mark.parametrize("seed", [7, pytest.param(8, marks=pytest.mark.slow)])
 def test_a_cold_boot_locks_and_counts_nothing(seed):
     assert boot(seed, SLOWEST)[0] == []
 

@@ -34,6 +34,7 @@ def errors(pose, truth):
     return np.concatenate([pose.position_m - truth.position_m, turn.as_rotvec()])
 
 
+@pytest.mark.slow  # on emulated boards: `make test-host-boards` runs it too
 def test_poses_at_the_bound(tmp_path, rig_kind):
     check_poses(tmp_path, 7, rig_kind, 100)
 

@@ -25,12 +25,13 @@ MAINS = ("amplitude_T = [1.0e-8, 2.0e-8, 1.0e-8]", "amplitude_T = [3.0e-7, 3.0e-
 
 @pytest.fixture
 def open_wireless(rig_kind, tmp_path):
-    """A function that opens prigge8 without sync wire, if asked for with 0.5 uT of mains hum."""
+    """A function that opens prigge8, or its first beacons, without sync wire, if asked for with 0.5 uT of mains hum."""
     benches = []
 
-    def open_one(strong_mains=False):
+    def open_one(strong_mains=False, beacons=8):
         text = (SCENARIOS / "prigge8.toml").read_text().replace("[sensor]\n", "[sensor]\nsync_wire = false\n", 1)
         assert MAINS[0] in text
+        text = "[[beacon]]".join(text.split("[[beacon]]")[: 1 + beacons])
         path = tmp_path / "wireless.toml"
         path.write_text(text.replace(*MAINS) if strong_mains else text)
         benches.append(SimulatedBench(str(path), rig_kind, tmp_path))
@@ -82,6 +83,7 @@ def switch_beacons(bench, on):
         bench.rig.serial_write(encode_frame(*encode("PARAM_SET", signals, node=beacon.node, index=AMPLITUDE)), board)
 
 
+@pytest.mark.slow  # on emulated boards: `make test-host-boards` runs it too
 def test_poses_without_wire(open_wireless):
     bench = open_wireless()
     reports = bench.reports(20)
@@ -93,6 +95,14 @@ def test_poses_without_wire(open_wireless):
     assert np.sqrt(np.mean([np.sum((p.position_m - truth) ** 2) for p in poses])) < 0.02
 
 
+def test_a_cold_start_among_four_beacons(open_wireless, rig_kind):
+    """Half as many boards to emulate as below, and one start."""
+    rows = cold_starts(open_wireless(strong_mains=True, beacons=4), rig_kind, 1)
+    assert rows[:, 0].max() < 1.0
+    assert rows[:, 1].all()
+
+
+@pytest.mark.slow  # on emulated boards: `make test-host-boards` runs it too
 def test_cold_starts(open_wireless, rig_kind):
     rows = cold_starts(open_wireless(strong_mains=True), rig_kind, 3)
     assert rows[:, 0].max() < 1.0

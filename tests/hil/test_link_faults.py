@@ -54,6 +54,7 @@ def test_a_bench_that_is_read_on_can(open_bench):
     assert all(report.complete and report.locked for report in reports)
 
 
+@pytest.mark.slow  # on emulated boards: `make test-host-boards` runs it too
 def test_same_seed_same_bytes_in_any_slices(open_bench, recorded):
     bench = open_bench("prigge8")
     for _ in range(600):

@@ -14,6 +14,8 @@ from hil_sim.clib import ROOT
 from tests.bench.locate_trials import prigge_cube
 from tests.bench.motion_trials import Room, cycle_bound, straight
 
+pytestmark = pytest.mark.slow  # on emulated boards: `make test-host-boards` runs it too
+
 NOISE_T = 2e-7
 CYCLES = 80
 SETTLING = 5

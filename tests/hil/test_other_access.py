@@ -42,8 +42,17 @@ def recorded(scenario, boards, directory):
         return bench.site, Calibration(*sensor.correction()), cycles, rig.truth()[-1]
 
 
-@pytest.mark.parametrize(("scenario", "boards"), [("slots8", "host"), ("tones8", "host"), ("superposed", "emulated")])
-def test_pose_with_another_access(tmp_path, scenario, boards):
+@pytest.mark.parametrize("scenario", ["slots8", "tones8", "superposed"])
+def test_pose_with_another_access(tmp_path, scenario):
+    check_pose(tmp_path, scenario, "host")
+
+
+@pytest.mark.slow
+def test_pose_with_superposed_codes_of_emulated_boards(tmp_path):
+    check_pose(tmp_path, "superposed", "emulated")
+
+
+def check_pose(tmp_path, scenario, boards):
     site, calibration, cycles, truth = recorded(scenario, boards, tmp_path)
     assert len(cycles) == 8
     assert all(np.isfinite(sums).all() for sums in cycles)

@@ -5,6 +5,8 @@ import pytest
 
 from goldfield.access.epoch import EpochSeparator
 
+pytestmark = pytest.mark.slow  # on emulated boards: `make test-host-boards` runs it too
+
 
 @pytest.fixture(scope="module")
 def bench(open_bench):

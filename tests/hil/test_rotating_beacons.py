@@ -18,6 +18,8 @@ from goldfield_protocol import FrameDecoder, decode
 from hil_sim.bench import SimulatedBench
 from hil_sim.scenario import SCENARIOS
 
+pytestmark = pytest.mark.slow  # on emulated boards: `make test-host-boards` runs it too
+
 CYCLES = 8
 """Cycles that are judged: the soft start was over 1.1 s before the first of them."""
 

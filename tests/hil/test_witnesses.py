@@ -137,7 +137,7 @@ def test_a_current_that_a_board_measures_does_not_cost_its_anchor(listen):
     assert all(pose.excluded == () and len(pose.used) == 4 for pose in settled)
 
 
-@pytest.mark.parametrize("method", [Method.EACH, Method.TRACK])
+@pytest.mark.parametrize("method", [Method.EACH, pytest.param(Method.TRACK, marks=pytest.mark.slow)])
 def test_the_history_of_the_residuals_names_a_beacon_that_was_moved_by_2_cm(listen, method):
     """No anchor senses. A cycle does not show 2 cm at 2 mG: the field of b5 changes by four sigma of a cycle."""
     rig, _, sensor = listen("prigge8", Move(EVENT_S, "b5", STEP_M), method=method)
