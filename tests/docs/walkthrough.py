@@ -71,8 +71,10 @@ def steps(name: str) -> Iterator[tuple[str, list[str]]]:
         yield command, quoted
 
 
-def run_page(name: str, folder: Path, tell: Callable[[str], None] = lambda _: None) -> list[Step]:
-    """Run all commands of a page in a folder and return what each printed.
+def run_page(
+    name: str, folder: Path, tell: Callable[[str], None] = lambda _: None, until: str | None = None
+) -> list[Step]:
+    """Run all commands of a page, or those in front of one, in a folder and return what each printed.
 
     Raises
     ------
@@ -88,6 +90,8 @@ def run_page(name: str, folder: Path, tell: Callable[[str], None] = lambda _: No
         bench = last.enter_context(ExitStack())
         channel = ""
         for command, quoted in steps(name):
+            if command == until:
+                break
             tell(command)
             if command.startswith("goldfield hil") and "--seconds" not in command:
                 bench.close()
