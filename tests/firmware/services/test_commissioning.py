@@ -188,8 +188,17 @@ def currents(board: CoilBoard, begin: int, end: int) -> list[float]:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("driver", ["exact driver, 20 degC", "all of these, offset 0.05 A"])
-@pytest.mark.parametrize("waveform", ["one code", "rotating, 37", "three codes"])
+@pytest.mark.parametrize(
+    ("waveform", "driver"),
+    [
+        ("one code", "all of these, offset 0.05 A"),
+        pytest.param("one code", "exact driver, 20 degC", marks=pytest.mark.slow),
+        ("rotating, 37", "exact driver, 20 degC"),
+        pytest.param("rotating, 37", "all of these, offset 0.05 A", marks=pytest.mark.slow),
+        ("three codes", "all of these, offset 0.05 A"),
+        pytest.param("three codes", "exact driver, 20 degC", marks=pytest.mark.slow),
+    ],
+)
 def test_a_signature_halves_every_other_cycle_and_no_guard_trips(
     boards: list[Board], waveform: str, driver: str
 ) -> None:

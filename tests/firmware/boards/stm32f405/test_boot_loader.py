@@ -170,27 +170,40 @@ CUTS = [
 ]
 
 
+FRACTIONS = (0.0, 0.4, 0.6, 1.0)
+"""Parts of a word's time after which the power goes."""
+
+
 @pytest.mark.parametrize(("state", "ms"), CUTS)
 def test_the_power_goes_in_each_word_of_the_boot_loader(state: tuple[int, ...], ms: int) -> None:
+    """Each fraction in one of the two words."""
+    cut_power(state, ms, [(1 + number % 2, number) for number in range(len(FRACTIONS))])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("state", "ms"), CUTS)
+def test_the_power_goes_in_each_word_at_each_fraction(state: tuple[int, ...], ms: int) -> None:
+    cut_power(state, ms, [(step, number) for step in (1, 2) for number in range(len(FRACTIONS))])
+
+
+def cut_power(state: tuple[int, ...], ms: int, cuts: list[tuple[int, int]]) -> None:
     """One of the two images runs at the next start, and comes to rest with the same from then on."""
     cells = flash(*boot_loader(), probed(), image(state=state))
-    cases = 0
-    for step in (1, 2):
-        for number, fraction in enumerate((0.0, 0.4, 0.6, 1.0)):
-            case = f"step {step}, fraction {fraction}, id {number}"
-            lost = Run(cells, ms, cut=(step, fraction, number), seed=number + 1)
-            assert lost.steps == step, case
-            later = lost.cells
-            seen = []
-            for _ in range(3):
-                run = Run(later, ms, seed=number + 1)
-                assert run.slot in (A, B), (case, run.report)
-                later = run.cells
-                seen.append(run.slot)
-            assert run.steps == 0 or seen[-1] == A, case
-            assert seen in ([A, A, A], [B, B, B], [B, A, A], [A, B, A]), (case, seen)
-            cases += 1
-    print(f"{cases} losses of power, 0 chips without an image")
+    for step, number in cuts:
+        fraction = FRACTIONS[number]
+        case = f"step {step}, fraction {fraction}, id {number}"
+        lost = Run(cells, ms, cut=(step, fraction, number), seed=number + 1)
+        assert lost.steps == step, case
+        later = lost.cells
+        seen = []
+        for _ in range(3):
+            run = Run(later, ms, seed=number + 1)
+            assert run.slot in (A, B), (case, run.report)
+            later = run.cells
+            seen.append(run.slot)
+        assert run.steps == 0 or seen[-1] == A, case
+        assert seen in ([A, A, A], [B, B, B], [B, A, A], [A, B, A]), (case, seen)
+    print(f"{len(cuts)} losses of power, 0 chips without an image")
 
 
 def test_what_a_start_costs() -> None:

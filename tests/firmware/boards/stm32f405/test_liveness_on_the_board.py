@@ -139,6 +139,7 @@ def test_a_drive_that_a_hanging_handler_ended_stays_off_over_the_restart(driving
     assert health(board) == {"cause": STALE, "locked_out": 0}
 
 
+@pytest.mark.slow  # tests/firmware/services/test_protection.py has a hung main loop on a host board
 def test_a_main_loop_that_hangs_whenever_the_drive_is_on_is_locked_out(driving):
     """Each restart by the watchdog waits twice as long as the one before, and the fifth for ever."""
     board = driving(HANG_ALWAYS)

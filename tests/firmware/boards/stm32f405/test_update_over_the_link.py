@@ -101,6 +101,7 @@ def new() -> bytes:
     return data + b"\xff" * (-len(data) % 8)
 
 
+@pytest.mark.slow  # tests/host/update/test_flash_on_the_emulated_chip.py does the same by the command line
 def test_an_image_takes_its_successor_which_confirms_itself(new: bytes) -> None:
     life = Life(before())
     status, value = life.command(TELL)
