@@ -62,10 +62,17 @@ def test_no_instruction_that_asks_for_the_key_is_needed_alone() -> None:
     check(done)
 
 
-@pytest.mark.parametrize(
-    ("name", "every"), [("look0", 131), ("look2", 137), ("before", 211), ("locked", 37), ("frames", 41), ("load", 83)]
-)
+SAMPLES = [("look0", 131), ("look2", 137), ("before", 211), ("locked", 37), ("frames", 41), ("load", 83)]
+
+
+@pytest.mark.parametrize(("name", "every"), SAMPLES)
 def test_a_sample_of_skips(name: str, every: int) -> None:
+    check(outcomes(named(name), every=3 * every))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "every"), SAMPLES)
+def test_three_times_as_many_skips(name: str, every: int) -> None:
     check(outcomes(named(name), every=every))
 
 

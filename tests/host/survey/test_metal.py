@@ -121,7 +121,7 @@ def test_plates_are_learned_from_a_walk() -> None:
 
 def test_epochs_of_a_sensor_that_is_just_switched_on_bend_no_map() -> None:
     """Two of noise alone, two in which the coils had just come on: a map explains them far out, where nobody was."""
-    trial = metal_trial("plates", 3)
+    trial = metal_trial("plates", 3, epochs=160)
     rng = np.random.default_rng(17)
     walk = trial.data.epochs
     spoilt = [replace(walk[row], field_T=3e-9 * rng.normal(size=walk[row].field_T.shape)) for row in range(2)]
@@ -211,7 +211,7 @@ def test_no_metal_has_no_unknowns() -> None:
 
 def test_the_command_writes_what_locate_applies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """From table and site file to a new site file, through the command line; comments stay."""
-    trial = metal_trial("spheres", 1, epochs=200, later=60)
+    trial = metal_trial("spheres", 1, epochs=120, later=60)
     site = tmp_path / "room.toml"
     site.write_text(f"# my hall\n{text_of(trial.site, EXACT)}")
     table = tmp_path / "walk.csv"
