@@ -14,6 +14,8 @@ from tests.docs import walkthrough
 from tests.docs.quotation import agrees, not_printed
 
 ELSEWHERE = ("new_room.md", "start.md")
+MOVES = "goldfield hil walk8 --boards host --true-site exact.toml --truth truth.jsonl --link ./sensor --wait"
+"""The command of the tutorial behind which its benches take most of the time."""
 PAGES = [
     name
     for path in sorted((ROOT / "docs").rglob("*.md"))
@@ -24,12 +26,19 @@ PAGES = [
 
 def test_the_tutorial_is_run() -> None:
     assert "tutorial.md" in PAGES
+    assert MOVES in [command for command, _ in walkthrough.steps("tutorial.md")]
     assert all(walkthrough.blocks(name, "sh") for name in ELSEWHERE)
 
 
 @pytest.mark.parametrize("name", PAGES)
 def test_what_a_page_says_happens(name: str, tmp_path: Path) -> None:
-    assert not_printed(walkthrough.run_page(name, tmp_path)) == []
+    """The tutorial up to where its sensor moves."""
+    assert not_printed(walkthrough.run_page(name, tmp_path, until=MOVES)) == []
+
+
+@pytest.mark.slow
+def test_what_the_whole_tutorial_says_happens(tmp_path: Path) -> None:
+    assert not_printed(walkthrough.run_page("tutorial.md", tmp_path)) == []
 
 
 @pytest.mark.parametrize(

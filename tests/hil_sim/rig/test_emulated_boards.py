@@ -129,7 +129,7 @@ def answers(rig, name, index, values):
     return [one.signals for one in told if one is not None and one.name == name and one.node == 100]
 
 
-@pytest.mark.long
+@pytest.mark.slow  # by default tests/host/update/test_flash_on_the_emulated_chip.py empties a slot of the chip
 def test_a_board_empties_its_slot_amid_the_traffic_of_its_bus(tmp_path):
     """The processor stands still for 2.5 s; frames that ran over would be a violation, which ends a board."""
     with Rig(small(tmp_path, crystal_ppm=f'20.0\npublic_key = "{KEY}"'), "emulated") as rig:

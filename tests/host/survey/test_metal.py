@@ -107,6 +107,7 @@ def _errors_m(site: Site, trial: MetalTrial) -> np.ndarray:
     return np.array([np.linalg.norm(pose.position_m - true) for pose, true in zip(poses, trial.later_m, strict=True)])
 
 
+@pytest.mark.slow  # the next test learns the same plates of fewer epochs, four of them spoilt
 def test_plates_are_learned_from_a_walk() -> None:
     """Sheets beside the room: poses five times nearer to the truth, and their covariances can be believed."""
     trial = metal_trial("plates", 3)

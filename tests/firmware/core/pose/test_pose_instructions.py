@@ -192,7 +192,9 @@ def one_is_dead(site, rng):
         position = position + rng.normal(size=3) * 0.03
 
 
-@pytest.mark.parametrize("errors", [{}, DEFAULT], ids=["exact", "declared"])
+@pytest.mark.parametrize(
+    "errors", [pytest.param({}, id="exact", marks=pytest.mark.slow), pytest.param(DEFAULT, id="declared")]
+)
 @pytest.mark.parametrize("cycles", [nothing_explains, one_is_dead])
 def test_every_cycle_is_answered_within_a_third_of_its_time(machine, site, errors, cycles):
     """A cycle has 16.8 million cycles of the processor. What a pose leaves of 12 million is the review's."""
