@@ -227,7 +227,7 @@ test-sanitized: all $(SANITIZED)/libgf_hostboard.so $(SANITIZED)/libgf_rig.so ##
 	@GOLDFIELD_LIBRARIES=$(abspath $(SANITIZED)) OPENBLAS_NUM_THREADS=1 \
 	  ASAN_OPTIONS=detect_leaks=0:log_path=$(abspath $(SANITIZED))/reports/report UBSAN_OPTIONS=print_stacktrace=1 \
 	  LD_PRELOAD="$$($(HOST_CC) -print-file-name=libasan.so) $$($(HOST_CC) -print-file-name=libubsan.so)" \
-	  $(PYTHON) -m pytest -q $(SANITIZED_TESTS) --goldfield-rig host -m "(both_boards or not simulated_bench) and not slow" || \
+	  $(PYTHON) -m pytest -q $(SANITIZED_TESTS) --goldfield-rig host -m "both_boards or (not simulated_bench and not slow)" || \
 	  { cat $(SANITIZED)/reports/* 2>/dev/null; exit 1; }
 	@test -z "$$(ls $(SANITIZED)/reports)" || { cat $(SANITIZED)/reports/*; exit 1; }
 	@echo "sanitizers: nothing found"
