@@ -44,12 +44,18 @@ def conflicts_of_tile(
     return found
 
 
-def merged(parts: list[dict[tuple[int, int], float]]) -> Conflicts:
-    """Return the conflicts of all tiles: the worst level of each pair."""
-    worst: dict[tuple[int, int], float] = {}
-    for part in parts:
-        for pair, ratio in part.items():
-            worst[pair] = max(ratio, worst.get(pair, 0.0))
+def keep_worst(worst: dict[tuple[int, int], float], part: dict[tuple[int, int], float]) -> None:
+    """Add the conflicts of a tile to those of the tiles before it, in place: the worst ratio of each pair counts.
+
+    Tiles are not collected, as a grid has thousands of them and each has thousands of pairs, nearly always the same.
+    """
+    for pair, ratio in part.items():
+        if ratio > worst.get(pair, 0.0):
+            worst[pair] = ratio
+
+
+def listed(worst: dict[tuple[int, int], float]) -> Conflicts:
+    """Return the conflicts in the order of their beacons, with the disturbing over the used field in decibels."""
     pairs = sorted(worst)
     level = 20.0 * np.log10(np.array([worst[pair] for pair in pairs], dtype=float))
     return Conflicts(np.array(pairs, dtype=np.int32).reshape(-1, 2), level)

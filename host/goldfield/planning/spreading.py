@@ -21,7 +21,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from goldfield.errors import SystemFailure, UserError, option
-from goldfield.planning.codes import merged, shared_codes
+from goldfield.planning.codes import keep_worst, listed, shared_codes
+from goldfield.planning.freed_memory import keep_freed_memory
 from goldfield.planning.grid import Tile
 from goldfield.planning.maps import Figures, Maps
 from goldfield.planning.request import Request
@@ -73,15 +74,15 @@ def plan(
     if not isinstance(request, Request):
         raise UserError(f"plan() takes a Request of site, grid and settings, not {request!r:.60}")
     figures = Figures.empty(request.grid.shape, request.settings.best)
-    conflicts: list[dict[tuple[int, int], float]] = []
+    worst: dict[tuple[int, int], float] = {}
     tiles = request.grid.tiles()
     batches = [tiles[first : first + BATCH] for first in range(0, len(tiles), BATCH)]
     with closing(spread(compute_batch, request, batches, workers=workers, scheduler=scheduler)) as results:
         for result in results:
             figures.put(result.tile, result.figures)
-            conflicts.append(result.conflicts)
+            keep_worst(worst, result.conflicts)
             progress(len(result.figures.weak))
-    beacons, found = request.site.beacons, merged(conflicts)
+    beacons, found = request.site.beacons, listed(worst)
     return Maps(
         grid=request.grid,
         figures=figures,
@@ -119,6 +120,7 @@ def spread(
 
 
 def _here(compute: Compute[S, T, R], shared: S, batches: list[list[T]]) -> Generator[R]:
+    keep_freed_memory()
     for batch in batches:
         yield from compute(shared, batch)
 
@@ -130,6 +132,7 @@ _task: list[Any] = []
 def _begin(compute: Any, shared: Any) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process of the terminal: the first one ends us
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    keep_freed_memory()
     _task[:] = [compute, shared]
 
 
@@ -175,6 +178,11 @@ def one_thread_each() -> Iterator[None]:
                 os.environ[name] = value
 
 
+def _on_worker(compute: Compute[S, T, R], shared: S, batch: list[T]) -> list[R]:
+    keep_freed_memory()
+    return compute(shared, batch)
+
+
 def _by_dask(compute: Compute[S, T, R], shared: S, batches: list[list[T]], address: str) -> Generator[R]:
     dask: Any = import_module("distributed")  # an optional package, which takes a second to load
     try:
@@ -190,13 +198,13 @@ def _by_dask(compute: Compute[S, T, R], shared: S, batches: list[list[T]], addre
         try:
             sent = client.scatter(shared, broadcast=True)
             ahead = islice(rest, AHEAD * workers)
-            first = [client.submit(compute, sent, batch, pure=False) for batch in ahead]
+            first = [client.submit(_on_worker, compute, sent, batch, pure=False) for batch in ahead]
             running = dask.as_completed(first, loop=client.loop)
             for future in running:
                 results = future.result()
                 future.release()
                 for following in islice(rest, 1):
-                    running.add(client.submit(compute, sent, following, pure=False))
+                    running.add(client.submit(_on_worker, compute, sent, following, pure=False))
                 yield from results
         except Exception as error:
             raise SystemFailure(f"a worker of {option('scheduler', address)} failed: {_words(error)}") from error

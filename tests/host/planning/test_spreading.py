@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import os
+import platform
+import resource
+import subprocess
+import sys
+import tracemalloc
 from dataclasses import fields
 
 import numpy as np
 import pytest
-from distributed import LocalCluster
+from distributed import Client, LocalCluster
 
 from goldfield.errors import SystemFailure, UserError
 from goldfield.planning import Grid, Request, plan
 from goldfield.planning.grid import TILE_POINTS
+from goldfield.planning.maps import Figures
+from goldfield.planning.tile import TileResult
 from tests.host.planning.built import ceiling
 
 
@@ -45,6 +53,63 @@ def test_two_processes_make_the_same_map(request_of_a_hall, here):
 def test_two_dask_workers_make_the_same_map(request_of_a_hall, here):
     with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as cluster:
         assert_same(here, plan(request_of_a_hall, scheduler=cluster.scheduler_address))
+
+
+FAULTS_A_POINT = 20
+"""Pages that the system has to clear for a point: a few where memory is kept, more than a hundred where it is not."""
+
+
+def faults() -> int:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+
+
+def print_faults_a_point() -> None:
+    """Print the faults a point of a plan that is made for the second time in this process."""
+    request = Request(ceiling(6, 5), Grid.of_box(np.array([0.0, 0.0, 0.5]), np.array([15.0, 12.0, 2.0]), 0.75))
+    plan(request)
+    before = faults()
+    plan(request)
+    print((faults() - before) / len(request.grid))
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries are left as they are")
+def test_freed_memory_is_not_fetched_again_for_each_array():
+    code = "from tests.host.planning.test_spreading import print_faults_a_point; print_faults_a_point()"
+    environment = {**os.environ, "MALLOC_TRIM_THRESHOLD_": "65536"}  # as a Dask worker's nanny sets it
+    ended = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert float(ended.stdout) < FAULTS_A_POINT
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries are left as they are")
+def test_a_dask_worker_does_not_fetch_freed_memory_again(request_of_a_hall):
+    with (
+        LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=":0") as cluster,
+        Client(cluster, set_as_default=False) as client,
+    ):
+        plan(request_of_a_hall, scheduler=cluster.scheduler_address)
+        (before,) = client.run(faults).values()
+        plan(request_of_a_hall, scheduler=cluster.scheduler_address)
+        (after,) = client.run(faults).values()
+    assert (after - before) / len(request_of_a_hall.grid) < FAULTS_A_POINT
+
+
+def test_the_memory_of_a_plan_does_not_grow_with_its_tiles(monkeypatch):
+    """All tiles have the same conflicts between the same beacons: what is held beside the maps stays as it is."""
+    site, held = ceiling(6, 5), []
+
+    def compute_tile(request, tile):
+        pairs = {(i, j): 0.1 + 1e-6 * j for i in range(30) for j in range(30) if i != j}
+        return TileResult(tile, Figures.empty((len(request.grid.points(tile)),), request.settings.best), pairs)
+
+    monkeypatch.setattr("goldfield.planning.spreading.compute_tile", compute_tile)
+    for metres in (16.0, 64.0):
+        grid = Grid.of_box(np.zeros(3), np.array([metres, metres, 0.0]), 0.5)
+        tracemalloc.start()
+        maps = plan(Request(site, grid))
+        most = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        held.append(most - sum(getattr(maps.figures, part.name).nbytes for part in fields(maps.figures)))
+    assert held[1] < 1.5 * held[0]
 
 
 def test_a_scheduler_without_workers_is_told(request_of_a_hall):
