@@ -132,11 +132,11 @@ def option(name: str, value: object = "") -> str:
     >>> option("node", 3), option("port")
     ('node=3', 'port=')
     >>> with on_command_line():
-    ...     option("node", 3), option("on_sensor"), option("rate_hz")
-    ('--node 3', '--on-sensor', '--rate')
+    ...     option("node", 3), option("on_sensor"), option("rate_hz"), option("conflict_dB")
+    ('--node 3', '--on-sensor', '--rate', '--conflict')
     """
     if _on_command_line.get():
-        return f"--{name.removesuffix('_hz').removesuffix('_s').replace('_', '-')} {value}".rstrip()
+        return f"--{name.removesuffix('_hz').removesuffix('_s').removesuffix('_dB').replace('_', '-')} {value}".rstrip()
     return f"{name}={value}"
 
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from numbers import Integral, Real
 
 from goldfield.errors import UserError, option
 from goldfield.planning.grid import Grid
 from goldfield.site import Site
+
+MOST_DB = 1000.0
+"""Largest ratio of two fields, in decibels; a number beyond some 6000 dB has no ratio that a computer represents."""
 
 
 @dataclass(frozen=True)
@@ -37,8 +39,10 @@ class Settings:
             raise UserError(f"{option('best', self.best)} is no whole number of at least 1")
         if not (_is_real(self.truncation) and 0.0 <= self.truncation < 1.0):
             raise UserError(f"{option('truncation', self.truncation)} is no part of 0 to below 1")
-        if not (_is_real(self.conflict_dB) and math.isfinite(self.conflict_dB)):
-            raise UserError(f"{option('conflict_dB', self.conflict_dB)} is no finite number of decibels")
+        if not (_is_real(self.conflict_dB) and abs(self.conflict_dB) <= MOST_DB):
+            raise UserError(
+                f"{option('conflict_dB', self.conflict_dB)} is no ratio of fields: give {-MOST_DB:g} to {MOST_DB:g} dB"
+            )
 
 
 def _is_whole(value: object) -> bool:

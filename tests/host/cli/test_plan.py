@@ -133,6 +133,7 @@ def test_an_optimised_site_file_keeps_what_its_author_wrote(tmp_path, capsys):
         ([*HERE, "--site-out", "x.toml"], "--site-out is given without --optimise"),
         ([*HERE, "--box", "0", "0", "0", "1", "1", "-1"], "--box has its second corner below its first in z"),
         ([*HERE, "--step", "1e-6"], "--step 1e-06 makes"),
+        ([*HERE, "--conflict=-1e4"], "--conflict -10000.0 is no ratio of fields: give -1000 to 1000 dB"),
         (["plan", "--lattice", "nowhere.toml", *BOX], "there is no such lattice file"),
     ],
 )

@@ -18,12 +18,23 @@ from tests.host.planning.built import cube
         ({"truncation": "0.1"}, "truncation=0.1 is no part"),
         ({"best": 0}, "best=0 is no whole number of at least 1"),
         ({"best": 2.5}, "best=2.5 is no whole number"),
-        ({"conflict_dB": float("inf")}, "conflict_dB=inf is no finite number"),
+        ({"conflict_dB": float("inf")}, "conflict_dB=inf is no ratio of fields"),
+        ({"conflict_dB": 1000.5}, "conflict_dB=1000.5 is no ratio of fields"),
+        ({"conflict_dB": -1000.5}, "conflict_dB=-1000.5 is no ratio of fields"),
     ],
 )
 def test_settings_that_are_none(changes, words):
     with pytest.raises(UserError, match=words):
         Settings(**changes)
+
+
+@pytest.mark.parametrize(("conflict_dB", "codes"), [(1000.0, 8), (-1000.0, 1)])
+def test_the_largest_ratios_of_fields_are_ratios(conflict_dB, codes):
+    """All beacons disturb all others, or none does: no pair is of a beacon and itself."""
+    request = Request(cube(), Grid.of_box(np.full(3, 0.9), np.full(3, 0.9), 1.0), Settings(conflict_dB=conflict_dB))
+    maps = plan(request)
+    assert maps.shared_code.max() + 1 == codes
+    assert (maps.conflicts.pair[:, 0] != maps.conflicts.pair[:, 1]).all()
 
 
 def test_settings_of_numpy_are_settings():
