@@ -186,8 +186,9 @@ def _on_worker(compute: Compute[S, T, R], shared: S, batch: list[T]) -> list[R]:
 def _by_dask(compute: Compute[S, T, R], shared: S, batches: list[list[T]], address: str) -> Generator[R]:
     dask: Any = import_module("distributed")  # an optional package, which takes a second to load
     try:
+        _check_address(address)
         client = dask.Client(address, timeout=CONNECT_S, set_as_default=False)
-    except (OSError, ValueError) as error:
+    except (OSError, TypeError, ValueError) as error:  # TLS without certificates is a TypeError
         raise SystemFailure(
             f"no Dask scheduler answers at {option('scheduler', address)} ({_words(error)}): start one with "
             "'dask scheduler'"
@@ -208,6 +209,14 @@ def _by_dask(compute: Compute[S, T, R], shared: S, batches: list[list[T]], addre
                 yield from results
         except Exception as error:
             raise SystemFailure(f"a worker of {option('scheduler', address)} failed: {_words(error)}") from error
+
+
+def _check_address(address: str) -> None:
+    """Raise `ValueError` for what is no address; Dask's client would wait 20 s, and print a traceback as it goes."""
+    addressing: Any = import_module("distributed.comm.addressing")
+    host, port = addressing.get_address_host_port(address)
+    if not host or not 0 < port < 65536:
+        raise ValueError(f"no host and port in {address!r}")
 
 
 def _workers(client: Any, address: str) -> int:

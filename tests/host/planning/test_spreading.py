@@ -120,7 +120,19 @@ def test_a_scheduler_without_workers_is_told(request_of_a_hall):
         plan(request_of_a_hall, scheduler=cluster.scheduler_address)
 
 
-@pytest.mark.parametrize("address", ["nonsense://x", "tcp://127.0.0.1:1"])
+NO_SCHEDULER = [
+    "nonsense://x",
+    "nonsense",
+    "",
+    "tcp://x",
+    "tcp://127.0.0.1:1",
+    "tcp://127.0.0.1:99999",
+    "tls://127.0.0.1:1",
+]
+
+
+@pytest.mark.filterwarnings("error")  # what a client that is half made would say of itself
+@pytest.mark.parametrize("address", NO_SCHEDULER)
 def test_a_scheduler_that_is_not_there_is_told(request_of_a_hall, address, monkeypatch):
     monkeypatch.setattr("goldfield.planning.spreading.CONNECT_S", 0.5)
     with pytest.raises(SystemFailure, match="no Dask scheduler answers at scheduler="):
