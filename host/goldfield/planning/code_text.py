@@ -13,7 +13,7 @@ from goldfield.files.inputs import name_of
 from goldfield.files.toml_table import parse_table, read_text
 from goldfield.site import Site
 from goldfield.site.reading import site_of
-from goldfield.site.revision import put
+from goldfield.site.revision import put, written
 
 
 class CodedText:
@@ -36,7 +36,7 @@ class CodedText:
 
     def __init__(self, path: Path) -> None:
         self._name = name_of(path)
-        text = read_text(path, "site file")
+        self._text = text = read_text(path, "site file")
         parse_table(text, self._name, "site file")  # A complaint about its form is that of any command.
         self._document: Any = tomlkit.parse(text)
         self._had = self._document.get("site", {}).get("shared_codes")
@@ -53,7 +53,7 @@ class CodedText:
     def with_codes(self, codes: Sequence[int]) -> str:
         """Return the text with these codes, in the order of the beacons; ``shared_codes`` is as they need it."""
         self._read(codes, shared=len(set(codes)) < len(codes))
-        return tomlkit.dumps(self._document)
+        return written(self._document, self._text)
 
     def _read(self, codes: Sequence[int], *, shared: bool) -> Site:
         """Set codes, and read the site."""

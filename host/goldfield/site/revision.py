@@ -123,9 +123,16 @@ def revised(
         put(document["sensor"], key, value)
     if metal is not None:
         _put_metal(document, metal)
-    result = tomlkit.dumps(document)
+    result = written(document, text)
     site_of(parse_table(result, f"{name}, revised", "site file"))
     return result
+
+
+def written(document: Any, text: str) -> str:
+    """Return a revised document's text, with lines that end as all lines of the text that it was read from do."""
+    result = tomlkit.dumps(document)
+    dos = 0 < text.count("\r\n") == text.count("\n")
+    return re.sub("\r?\n", "\r\n", result) if dos else result
 
 
 def _put_metal(document: Any, metal: Metal) -> None:

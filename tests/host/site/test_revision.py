@@ -207,6 +207,7 @@ def test_line_ends_and_a_file_without_a_last_one_stay(tmp_path):
     new.write_bytes(text.encode())
     assert load(new).beacon("7").survey == Survey(0.01, 0.02, 0.03)
     assert text.startswith("# The hall, measured on Monday.\r\n[site]\r\n")
+    assert text.count("\n") == text.count("\r\n")
 
 
 def test_beacons_in_one_line_each(tmp_path):
