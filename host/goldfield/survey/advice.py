@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from goldfield.field import FieldModel
 from goldfield.locate.mirror import find_mirror
-from goldfield.survey.data import Current, Direction, Distance, Free, Known, Place, SurveyData
+from goldfield.survey.constraints import name_of_known
+from goldfield.survey.data import Free, SurveyData
 from goldfield.survey.outcome import Solution
 from goldfield.survey.parameters import BEACON, across
 from goldfield.types import FloatArray
@@ -28,8 +29,6 @@ MOST_PAIRS, MOST_PLACES = 500, 60
 """Pairs of beacons and epochs that are tried for it."""
 WORTH = 0.95
 """Something is worth measuring if it leaves less than this part of the beacons' deviation."""
-UNFIT = 5.0
-"""Something known does not fit if it is so many of its standard deviations off."""
 MOSTLY = 0.8
 """A source is named alone if it knows this part of what is known."""
 SITE = "the site file"
@@ -139,19 +138,8 @@ def _sources(mode: Mode, solution: Solution, data: SurveyData) -> dict[str, floa
     vector[: BEACON * count] = mode.beacons.ravel()
     for one in data.known:
         _, slopes = problem.constraints.one(one, solution.state)
-        sources[_name(one)] = sources.get(_name(one), 0.0) + float(((slopes @ vector) ** 2).sum())
+        sources[name_of_known(one)] = sources.get(name_of_known(one), 0.0) + float(((slopes @ vector) ** 2).sum())
     return sources
-
-
-def _name(known: Known) -> str:
-    if isinstance(known, Distance):
-        return f"the distance from {known.beacons[0]} to {known.beacons[1]}"
-    if isinstance(known, Place):
-        return f"the measured place of {known.beacon}"
-    if isinstance(known, Direction):
-        return f"the measured direction of {known.beacon}"
-    assert isinstance(known, Current)
-    return f"the current of {known.beacon}"
 
 
 def _sentence(
@@ -183,11 +171,8 @@ def _misfits(solution: Solution, data: SurveyData) -> Iterator[str]:
                 f"the known point of epoch {point.epoch} is {size:.3g} m from where the fields and the other points "
                 "put the sensor: it was left out; check it"
             )
-    for one in data.known:
-        residual, _ = solution.problem.constraints.one(one, solution.state)
-        size = float(np.abs(residual).max(initial=0.0))
-        if size > UNFIT:
-            yield f"{_name(one)} does not fit, by {size:.3g} of its standard deviations: check it"
+    for known, size in solution.problem.constraints.unfit(solution.state):
+        yield f"{name_of_known(known)} does not fit, by {size:.3g} of its standard deviations: check it"
 
 
 def _worst(solution: Solution) -> Iterator[str]:

@@ -10,6 +10,9 @@ from goldfield.survey.data import Current, Direction, Distance, Known, Place
 from goldfield.survey.parameters import BEACON, State, across, turn_between
 from goldfield.types import FloatArray
 
+UNFIT = 5.0
+"""Something known does not fit if it is so many of its standard deviations off."""
+
 
 class Constraints:
     """Known distances, places, directions and currents.
@@ -33,6 +36,11 @@ class Constraints:
         pairs = [self.one(known, state) for known in self._known]
         residual = np.concatenate([np.empty(0), *(residual for residual, _ in pairs)])
         return residual, np.concatenate([np.empty((0, self._size)), *(jacobian for _, jacobian in pairs)])
+
+    def unfit(self, state: State) -> list[tuple[Known, float]]:
+        """Return what is known and does not fit, with the standard deviations by which it is off."""
+        sizes = [(known, float(np.abs(self.one(known, state)[0]).max(initial=0.0))) for known in self._known]
+        return [(known, size) for known, size in sizes if size > UNFIT]
 
     def one(self, known: Known, state: State) -> tuple[FloatArray, FloatArray]:
         """Return the same of one known thing."""
@@ -63,3 +71,15 @@ class Constraints:
         jacobian[0, place + 5] = 1.0
         logarithm = np.log(ratio) - state.log_current[self._row[known.beacon]]
         return np.array([logarithm]) / known.sd, jacobian / known.sd
+
+
+def name_of_known(known: Known) -> str:
+    """Return what a known thing is called in sentences."""
+    if isinstance(known, Distance):
+        return f"the distance from {known.beacons[0]} to {known.beacons[1]}"
+    if isinstance(known, Place):
+        return f"the measured place of {known.beacon}"
+    if isinstance(known, Direction):
+        return f"the measured direction of {known.beacon}"
+    assert isinstance(known, Current)
+    return f"the current of {known.beacon}"

@@ -26,6 +26,7 @@ from goldfield.survey.adjustment import (
 )
 from goldfield.survey.advice import advice_of
 from goldfield.survey.anchor_tables import sensors_elsewhere
+from goldfield.survey.constraints import name_of_known
 from goldfield.survey.data import Free, SurveyData, SurveyResult
 from goldfield.survey.equations import Readings, inverse
 from goldfield.survey.levers import untold_levers
@@ -224,7 +225,7 @@ def _judged(problem: Problem, state: State, now: Evaluation, progress: Progress)
             rotation=np.where(better[:, None, None], tried.rotation, state.rotation),
         )
         state, now = adjust(problem, state, robust=True)
-    widened = _widening(problem, now)
+    widened = _widening(problem, state, now)
     if widened > 1.0:
         problem = replace(problem, readings=Readings(problem.readings.field_T, widened * problem.readings.sigma_T))
         state, now = adjust(problem, state, robust=True)
@@ -305,7 +306,7 @@ def _likely(squares: FloatArray, count: FloatArray) -> NDArray[np.bool_]:
     return np.asarray((freedom > 0.0) & (gammaincc(np.maximum(freedom, 1.0) / 2.0, finite / 2.0) > UNLIKELY))
 
 
-def _widening(problem: Problem, now: Evaluation) -> float:
+def _widening(problem: Problem, state: State, now: Evaluation) -> float:
     """Return by what the fields' deviations must be multiplied so that the usual epoch fits.
 
     Raises
@@ -319,22 +320,27 @@ def _widening(problem: Problem, now: Evaluation) -> float:
         return 1.0
     usual = float(np.median(now.squares[some] / chdtri(freedom[some], 0.5)))
     if not usual < REFUSED:
-        raise SystemFailure(_refusal(problem, now, usual))
+        raise SystemFailure(_refusal(problem, state, now, usual))
     return float(np.sqrt(usual)) if usual > WIDENED else 1.0
 
 
-def _refusal(problem: Problem, now: Evaluation, usual: float) -> str:
-    """Say that nothing fits, and which beacon fits worst."""
+def _refusal(problem: Problem, state: State, now: Evaluation, usual: float) -> str:
+    """Say that nothing fits, which beacon fits worst, and what is known and contradicts the rest."""
     measured = np.isfinite(problem.readings.sigma_T).any(axis=2)
     size = np.where(measured, now.by_beacon, np.nan)
     heard = np.asarray(measured.any(axis=0))
     each = np.full(len(heard), -np.inf)
     each[heard] = np.nanmedian(size[:, heard], axis=0)
     worst = problem.site.beacons[int(np.argmax(each))].id
+    unfit = sorted(problem.constraints.unfit(state), key=lambda one: -one[1])
+    contradicted = "".join(
+        f"{name_of_known(known)} does not fit, by {size:.3g} of its standard deviations: check it first; "
+        for known, size in unfit[:1]
+    )
     return (
         f"no survey fits the fields: the usual epoch has a residual of {np.sqrt(usual):.3g}, where a sound one has 1; "
-        f"{worst} fits worst: check its entry in the site file, whether [survey] and [sensor] allow for how wrong the "
-        "site may be, sigma_T, and whether metal is near"
+        f"{contradicted}{worst} fits worst: check its entry in the site file, whether [survey] and [sensor] allow for "
+        "how wrong the site may be, sigma_T, and whether metal is near"
     )
 
 

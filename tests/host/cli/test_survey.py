@@ -135,6 +135,18 @@ def test_what_does_not_fit_is_no_new_site(room, tmp_path, capsys):
     assert not out.exists()
 
 
+def test_distances_that_contradict_each_other_are_named_where_nothing_fits(room, tmp_path, capsys):
+    folder, _ = room
+    first, second = (beacon.id for beacon in sites.load(folder / "site.toml").beacons[:2])
+    known = tmp_path / "known.toml"
+    lines = [f'{{between = ["{first}", "{second}"], m = {metres}, sd_m = 0.001}}' for metres in (2.1, 9.0)]
+    known.write_text(f"[known]\ndistance = [{', '.join(lines)}]\n")
+    assert main(arguments(folder, tmp_path / "new.toml", "--known", str(known))) == 3
+    told = capsys.readouterr().err
+    assert "no survey fits the fields" in told
+    assert f"the distance from {first} to {second} does not fit, by " in told
+
+
 def test_outliers_that_follow_each_other_share_a_line():
     epochs = [(3, ("b1",), 2.0), (4, ("b1",), 3.5), (5, (), 2.5), (7, (), 2.25), (8, (), 4.0), (9, (), 3.0)]
     outliers = [Outlier(*one) for one in epochs]
