@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from goldfield.errors import counted
 from goldfield.files.toml_table import Table
 from goldfield.site.metal import MOST_BODIES, MOST_DEGREE, BeaconMetal, Metal, harmonic_count, symmetric
+from goldfield.site.model import Beacon
 
 KEYS = ("degree", "centre_m", "radius_m", "sd_T_A", "walked_m", "body")
 BEACON_KEY = "metal_T_A"
 LEAST_GAP_M = 1e-3
-"""Least distance of a body from the centre of a coil: at the centre itself its answer has no limit."""
+"""Least distance of a body from the centre of a coil and from its wire: at these themselves its answer has no limit."""
 SMALLEST_ROOM = 1e-3
 """Least extent of the corners of ``walked_m`` off any plane, over their largest extent."""
 
@@ -44,11 +47,29 @@ def read_metal(table: Table) -> Metal:
     )
 
 
-def check_bodies(table: Table, metal: Metal, centre_m: np.ndarray) -> None:
-    """Refuse a body in the centre of a coil; ``centre_m``, shape (n, 3), are those of all beacons."""
+def check_bodies(table: Table, metal: Metal, beacons: Sequence[Beacon]) -> None:
+    """Refuse a body in the centre of a coil or on its wire, where the field that it would answer has no limit."""
     for body, place in zip(table.tables("body") if len(metal.body_m) else [], metal.body_m, strict=True):
-        if np.linalg.norm(centre_m - place, axis=1).min() < LEAST_GAP_M:
-            raise body.error("position_m", "is the centre of a beacon's coil, where no metal can be: move the body")
+        for beacon in beacons:
+            where = "centre" if np.linalg.norm(place - beacon.position_m) < LEAST_GAP_M else "wire"
+            if where == "centre" or _distance_to_wire_m(beacon, place) < LEAST_GAP_M:
+                raise body.error(
+                    "position_m", f"is the {where} of a beacon's coil, where no metal can be: move the body"
+                )
+
+
+def _distance_to_wire_m(beacon: Beacon, place_m: np.ndarray) -> float:
+    """Return the distance of a place from a coil's circle, or from the segments of its wire."""
+    if beacon.points_m is None:
+        assert beacon.radius_m is not None
+        offset = place_m - beacon.position_m
+        height = float(offset @ beacon.axis)
+        return float(np.hypot(np.linalg.norm(offset - height * beacon.axis) - beacon.radius_m, height))
+    start = beacon.points_m
+    along = np.roll(start, -1, axis=0) - start  # the wire is closed
+    length2 = np.maximum((along * along).sum(axis=1), np.finfo(float).tiny)
+    part = np.clip(((place_m - start) * along).sum(axis=1) / length2, 0.0, 1.0)
+    return float(np.linalg.norm(place_m - start - part[:, None] * along, axis=1).min())
 
 
 def _polarisability(body: Table) -> np.ndarray:

@@ -114,7 +114,7 @@ def site_of(root: Table) -> Site:
     check_boards(tables, [(beacon.id, beacon.board) for beacon in beacons])
     check_extent(tables, beacons, doubts)
     if metal is not None:
-        check_bodies(root.table("metal"), metal, np.array([beacon.position_m for beacon in beacons]))
+        check_bodies(root.table("metal"), metal, beacons)
     return Site(
         name=site.text("name"),
         chip_period_s=plan.chip_period_s,

@@ -102,6 +102,33 @@ def test_coefficients_need_their_table(tmp_path: Path) -> None:
         _load(tmp_path, "")
 
 
+SQUARE = "points_m = [[-1, -1, 2], [1, -1, 2], [1, 1, 2], [-1, 1, 2]]"
+
+
+@pytest.mark.parametrize(
+    ("coil", "place", "words"),
+    [
+        ("radius_m = 0.15", "[0.15, 0, 2]", "the wire of a beacon's coil"),
+        ("radius_m = 0.15", "[0, -0.1509, 2]", "the wire"),
+        ("radius_m = 0.15", "[0, -0.1511, 2]", ""),
+        ("radius_m = 0.15", "[0, 0, 2.0009]", "the centre of a beacon's coil"),
+        (SQUARE, "[0.3, -1, 2.0009]", "the wire"),
+        (SQUARE, "[-1, 0.3, 2]", "the wire"),  # of the segment that closes it
+        (SQUARE, "[0.3, -1, 2.0011]", ""),
+    ],
+)
+def test_no_body_is_in_a_coil(tmp_path: Path, coil: str, place: str, words: str) -> None:
+    metal = METAL.replace("position_m = [4, 0, 1]", f"position_m = {place}")
+    path = tmp_path / "site.toml"
+    text = SITE.format(metal=metal, beacon="metal_T_A = [1, 2, 3]").replace("radius_m = 0.15", coil)
+    path.write_text(text.replace("position_m = [0, 0, 2]\naxis = [0, 0, 1]\n", "") if coil == SQUARE else text)
+    if not words:
+        goldfield.load_site(path)
+        return
+    with pytest.raises(UserError, match=words):
+        goldfield.load_site(path)
+
+
 def test_nine_bodies_are_too_many(tmp_path: Path) -> None:
     body = METAL[METAL.index("[[metal.body]]") :]
     with pytest.raises(UserError, match="stands 9 times: at most 8"):
