@@ -142,7 +142,7 @@ def test_a_key_is_replaced_and_removed_by_who_knows_it(bench: Bench, keys: Calla
     own, other = keys("site.key"), keys("other.key")
     bench.done("nodes", "key", "set", "3", "--key", own, "--pause")
     bench.done("nodes", "key", "set", "3", "--key", own, "--pause")  # It has it already.
-    for words in (("set", "3", "--key", other), ("remove", "3", "--key", other)):
+    for words in (("set", "3", "--key", other, "--pause"), ("remove", "3", "--key", other, "--pause")):
         code, _, told = bench.run("nodes", "key", *words)
         assert (code, "has another key" in told) == (3, True)
     bench.rig.advance(1.0)

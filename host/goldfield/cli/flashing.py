@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 from goldfield.cli.node_boards import meant
 from goldfield.cli.output import json_line
 from goldfield.errors import SystemFailure, UserError, counted, tell
-from goldfield.nodes.commissioning import Board, boards_of
+from goldfield.nodes.commissioning import Board, boards_of, driven
 from goldfield.nodes.conversation import Conversation
 from goldfield.update.image_files import NAMES, Image, version_number
 from goldfield.update.over_link import NO_KEY, OLDER, REFUSALS, UNCONFIRMED, Outcome, State, Told, Updater
@@ -63,12 +63,11 @@ def _chosen(boards: Sequence[Board], arguments: argparse.Namespace, images: Sequ
     return chosen
 
 
-def _refuse_driven(conversation: Conversation, boards: Iterable[Board], *, pause: bool) -> None:
-    nodes = conversation.roster.nodes
-    driven = [board.number for board in boards if any(d.enabled for d in nodes[board.number].drives.values())]
-    if driven and not pause:
+def _refuse_driven(conversation: Conversation, boards: Sequence[Board], *, pause: bool) -> None:
+    numbers = [] if pause else driven(conversation, boards)
+    if numbers:
         raise SystemFailure(
-            f"{conversation.name}: node {driven[0]} drives its coil, which is off during an update: let boards switch "
+            f"{conversation.name}: node {numbers[0]} drives its coil, which is off during an update: let boards switch "
             "theirs off with --pause, or stop them with goldfield nodes stop"
         )
 

@@ -42,6 +42,10 @@ def checked(arguments: argparse.Namespace) -> Asked:
         raise UserError(f"{name} got {len(texts)} values; it takes {len(elements)} at most")
     if not texts:
         return parameter, elements, ()
+    if parameter.name == "node":
+        raise UserError(
+            "a number is given so that no other board has it: goldfield nodes number takes the old and the new"
+        )
     if parameter.secret:
         raise UserError(f"{name} is secret, and a command line is not: goldfield nodes key set takes it from its file")
     elements = elements[: len(texts)]
@@ -238,6 +242,7 @@ def set_values(conversation: Conversation, arguments: argparse.Namespace, asked:
     """Set elements of a parameter one after the other, and print what is in force."""
     assert asked is not None
     parameter, elements, wanted = asked
+    conversation.discover()  # Whether another board has this number, too, which would be set with it.
     before = _read(conversation, arguments.node, {parameter.name: elements})
     told = [
         conversation.set(arguments.node, parameter.identifier(element), value, parameter.kind)

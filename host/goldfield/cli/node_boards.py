@@ -8,13 +8,14 @@ from dataclasses import replace
 from typing import Any
 
 from goldfield.cli.output import json_line
-from goldfield.errors import SystemFailure, UserError, counted, listed
+from goldfield.errors import SystemFailure, UserError, counted, listed, printable
 from goldfield.nodes.commissioning import (
     SWITCHES,
     Board,
     assigned,
     boards_of,
     clone,
+    refuse_driven,
     renumber,
     save_all,
     switch,
@@ -60,6 +61,7 @@ def set_number(conversation: Conversation, arguments: argparse.Namespace, _: obj
     taken = [other for other in boards if other.number == arguments.number and other != board]
     if taken:
         raise UserError(f"the number {arguments.number} is that of board {taken[0].unique_id}: give another one")
+    refuse_driven(conversation, [board], pause=arguments.pause)
     renumber(conversation, {board.unique_id: arguments.number})
     _saved(conversation, {arguments.number: board.unique_id}, arguments)
     _tell_numbers(arguments, [board], {board.unique_id: arguments.number})
@@ -71,6 +73,7 @@ def assign(conversation: Conversation, arguments: argparse.Namespace, _: object 
         raise UserError(f"--first {arguments.first} is no number of a node: give one from 1 to 4095")
     conversation.listen()
     boards = first = boards_of(conversation)
+    refuse_driven(conversation, boards, pause=arguments.pause)
     if arguments.renew and len({board.number for board in boards}) < len(boards):
         renumber(conversation, assigned(boards, arguments.first, renew=False))
         conversation.listen()  # Only now each tells its role.
@@ -98,7 +101,12 @@ def set_name(conversation: Conversation, arguments: argparse.Namespace, _: objec
     """Give a board a name."""
     words = words_of(arguments.text)
     conversation.listen()
-    board = meant(boards_of(conversation), arguments.node, arguments.unique_id)
+    boards = boards_of(conversation)
+    board = meant(boards, arguments.node, arguments.unique_id)
+    taken = [other for other in boards if arguments.text and other.name == arguments.text and other != board]
+    if taken:
+        raise UserError(f"the name {arguments.text!r} is that of node {taken[0].number}: give another one")
+    refuse_driven(conversation, [board], pause=arguments.pause)
     conversation.write({(board.number, word): value for word, value in zip(NAME_IDS, words, strict=True)})
     _saved(conversation, {board.number: board.unique_id}, arguments)
     if arguments.json:
@@ -156,6 +164,7 @@ def copy(conversation: Conversation, arguments: argparse.Namespace, _: object = 
                 f"node {target.number} is a {target.role} and node {source.number} a {source.role}: only boards of one "
                 "role are copied"
             )
+    refuse_driven(conversation, targets, pause=arguments.pause)
     changed = clone(conversation, source.number, [board.number for board in targets], source.role or "")
     _saved(conversation, {board.number: board.unique_id for board in targets}, arguments)
     if arguments.json:
@@ -179,7 +188,7 @@ def list_boards(conversation: Conversation, arguments: argparse.Namespace, _: ob
         cells = (board.role or "?", state or "?", armed, group, board.access or "?")
         print(
             f"{board.number:4d} {cells[0]:7} {cells[1]:14} {cells[2]:6} {cells[3]:>5} {cells[4]:6}  {board.unique_id}"
-            f"  {board.name}"
+            f"  {printable(board.name)}"
         )
 
 

@@ -10,7 +10,7 @@ from goldfield.cli.node_boards import SHARED, meant
 from goldfield.cli.output import json_line
 from goldfield.errors import UserError, counted, listed, tell
 from goldfield.link.access_key import load_key, make_key
-from goldfield.nodes.commissioning import Board, boards_of, save_all, set_key
+from goldfield.nodes.commissioning import Board, boards_of, refuse_driven, save_all, set_key
 from goldfield.nodes.conversation import Conversation
 
 IN_THE_CLEAR = "the key went over CAN in the clear: whoever listened has it; give it over serial where that matters"
@@ -38,6 +38,7 @@ def act(conversation: Conversation, arguments: argparse.Namespace, _: object = N
         conversation.key = load_key(arguments.old)
     conversation.listen()
     boards = _meant(boards_of(conversation), arguments)
+    refuse_driven(conversation, boards, pause=arguments.pause)
     set_key(conversation, boards, key if setting else None)
     save_all(conversation, {board.number: board.unique_id for board in boards}, pause=arguments.pause)
     _tell(arguments, [replace(board, keyed=setting) for board in boards])

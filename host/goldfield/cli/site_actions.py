@@ -8,7 +8,7 @@ from goldfield.cli import link_options
 from goldfield.cli.output import json_line
 from goldfield.errors import SystemFailure, counted, tell
 from goldfield.link.budget import NAMES, SHARE, Link, most_reported
-from goldfield.nodes.commissioning import Board, boards_of, save_all, switch
+from goldfield.nodes.commissioning import Board, boards_of, refuse_driven, save_all, switch
 from goldfield.nodes.conversation import START, Conversation
 from goldfield.nodes.site_boards import Wanted, chosen_codes, differences, push, wanted_of
 from goldfield.site import Site
@@ -53,7 +53,7 @@ def _fitting(arguments: argparse.Namespace, site: Site, boards: list[Board]) -> 
 
 
 def _push(conversation: Conversation, arguments: argparse.Namespace, wanted: list[Wanted], boards: list[Board]) -> None:
-
+    refuse_driven(conversation, [one.board for one in wanted], pause=arguments.pause)
     changed = push(conversation, wanted, pause=arguments.pause)
     beacons = [one.board for one in wanted if one.owner != "sensor"]
     if arguments.start:

@@ -138,7 +138,7 @@ def assigned(boards: Sequence[Board], first: int, *, renew: bool) -> dict[str, i
     Raises
     ------
     UserError
-        If there are not so many numbers from ``first`` on.
+        If there are not so many numbers from ``first`` on, or two boards tell one unique id.
 
     Examples
     --------
@@ -148,6 +148,13 @@ def assigned(boards: Sequence[Board], first: int, *, renew: bool) -> dict[str, i
     """
     if first + len(boards) - 1 > LARGEST_NUMBER:
         raise UserError(f"numbers from {first} on do not suffice for all {len(boards)}: the last is {LARGEST_NUMBER}")
+    told = Counter(board.unique_id for board in boards)
+    if len(told) < len(boards):
+        (unique_id, count), *_ = told.most_common(1)
+        raise UserError(
+            f"{count} boards tell the unique id {unique_id}, so that none of them can be meant alone: leave one "
+            "of them on the link, and replace the others"
+        )
     result: dict[str, int] = {}
     if not renew:
         for board in boards:
@@ -189,6 +196,31 @@ def renumber(conversation: Conversation, numbers: Mapping[str, int]) -> None:
         f"{conversation.name}: board {wrong} was to have the number {numbers[wrong]} and "
         f"{f'has {found[wrong]}' if wrong in found else 'is not heard'}: try again"
     )
+
+
+def driven(conversation: Conversation, boards: Collection[Board]) -> list[int]:
+    """Return the numbers of the boards that have told that they drive their coils."""
+    nodes = conversation.roster.nodes
+    numbers = [board.number for board in boards if board.number in nodes]
+    return [number for number in numbers if any(drive.enabled for drive in nodes[number].drives.values())]
+
+
+def refuse_driven(conversation: Conversation, boards: Collection[Board], *, pause: bool) -> None:
+    """Refuse boards that could not save what is about to be set, as they drive their coils and may not pause.
+
+    They refuse the save themselves, but then some have what was set, until their next reset, and others do not.
+
+    Raises
+    ------
+    SystemFailure
+        If there is one, and ``pause`` is False.
+    """
+    numbers = [] if pause else driven(conversation, boards)
+    if numbers:
+        raise SystemFailure(
+            f"{conversation.name}: node {numbers[0]} drives its coil, and its processor stands still for each word "
+            "that it saves: let boards switch theirs off meanwhile with --pause; nothing was changed"
+        )
 
 
 def save_all(conversation: Conversation, boards: Mapping[int, str], *, pause: bool = False) -> int:

@@ -11,7 +11,7 @@ from contextlib import suppress
 
 import can
 
-from goldfield.errors import SystemFailure
+from goldfield.errors import SystemFailure, UserError, listed
 from goldfield.link.access import COMMAND_LOCKED, board_of, is_locked, lock_request, unlock
 from goldfield.link.access_key import AccessKey
 from goldfield.link.buses import BusSource
@@ -194,9 +194,12 @@ class Conversation:
 
         Raises
         ------
+        UserError
+            If two boards are known to have the number of one of the nodes: both would be set. Nothing is set then.
         SystemFailure
             If a node does not answer, or refuses.
         """
+        self._check_alone(node for node, _ in wanted)
         requests = {}
         for (node, parameter), value in wanted.items():
             found = find_id(parameter)
@@ -271,6 +274,15 @@ class Conversation:
                 break
         return found
 
+    def _check_alone(self, nodes: Iterable[int]) -> None:
+        for node in sorted(set(nodes)):
+            known = self.roster.nodes.get(node)
+            if known is not None and len(known.unique_ids) > 1:
+                raise UserError(
+                    f"node {node} is {listed(known.unique_ids)}, and what is set by its number is set in both: give "
+                    "each its own number first, with goldfield nodes assign"
+                )
+
     def _silent(self, node: int, what: str = "") -> SystemFailure:
         return SystemFailure(
             f"{self.name}: node {node} did not answer {what}in {TRIES} tries: see who is there with goldfield nodes"
@@ -281,9 +293,12 @@ class Conversation:
 
         Raises
         ------
+        UserError
+            If two boards are known to have the node's number: both would be set.
         SystemFailure
             If the node does not answer, or refuses.
         """
+        self._check_alone([node])
         key = node, parameter
         answer = self.exchange({key: set_request(node, parameter, value, kind)}, "PARAM_VALUE").get(key)
         if answer is None:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
-from goldfield.errors import SystemFailure, UserError, counted
+from goldfield.errors import SystemFailure, UserError, counted, listed, tell
 from goldfield.link.requests import Value
 from goldfield.nodes.commissioning import Board, await_restarts, save_all
 from goldfield.nodes.conversation import RESET, Conversation
@@ -19,6 +20,8 @@ from goldfield_protocol.parameters import PARAMETERS, Kind, find_id, label_of
 
 ONE_CODE, PULSE, SQUARE, ROTATING, SUPERPOSED = range(5)
 """Values of the parameter ``waveform``."""
+SHARED = "shares its number {number} with another one: goldfield nodes assign gives each its own"
+"""What is said of a board that cannot be set alone."""
 OF_ITS_OWN = ("pose", "pose_blocks")
 """What a sensor that computes poses has, and the site does not say."""
 Values = Mapping[int, Value]
@@ -163,39 +166,54 @@ def wanted_of(site: Site, boards: Sequence[Board], strongest: int | None = None)
     UserError
         If boards cannot drive what the site says.
     """
-    wanted, missing = [], list[str]()
+    wanted, missing, owners = [], list[str](), dict[str, str]()
     for beacon in site.beacons:
         if beacon.id.endswith(".sin") and beacon.drive.periods is not None and not beacon.drive.square:
             continue  # Its board is that of the cosine.
         values = beacon_values(site, beacon)
         name = beacon.id.removesuffix(".cos")
         board, said = _board_of(beacon, name, boards)
+        owner = name if board is None else owners.setdefault(board.unique_id, name)
         if board is None:
             missing.append(f'beacon "{beacon.id}": {said}')
+        elif owner != name:
+            missing.append(f'beacon "{beacon.id}": its board, node {board.number}, is that of beacon "{owner}" already')
         else:
             wanted.append(Wanted(name, board, values))
     of_sensor = sensor_values(site, strongest)
     if of_sensor is not None:
-        wanted += [Wanted("sensor", board, of_sensor) for board in boards if board.role in ("sensor", "anchor")]
+        for board in boards:
+            if board.role in ("sensor", "anchor") and board.unique_id not in owners and _is_shared(board, boards):
+                missing.append(f"sensor: board {board.unique_id} {SHARED.format(number=board.number)}")
+            elif board.role in ("sensor", "anchor"):
+                wanted.append(Wanted("sensor", board, of_sensor))
     return wanted, missing
 
 
 def _board_of(beacon: Beacon, name: str, boards: Sequence[Board]) -> tuple[Board | None, str]:
     """Return the board of a beacon, or None and why there is none."""
-    named = beacon.board
+    named, lacks, remedy = beacon.board, "", "goldfield nodes assign gives each its own number"
     if named.unique_id is not None:
         found, what = [one for one in boards if one.unique_id == named.unique_id], f"the unique id {named.unique_id}"
     elif named.node is not None:
         found, what = [one for one in boards if one.number == named.node], f"the number {named.node}"
     else:
-        found, what = [one for one in boards if one.name == name], f'the name "{name}", nor has it node or board'
+        found, what = [one for one in boards if one.name == name], f'the name "{name}"'
+        lacks, remedy = ", nor has it node or board", "goldfield nodes name gives one of them another"
     if len(found) > 1:
-        return None, f"{counted(len(found), 'boards have')} {what}: goldfield nodes assign gives each its own number"
+        return None, f"{counted(len(found), 'boards have')} {what}: {remedy}"
     if not found:
-        return None, f"no board has {what}"
+        return None, f"no board has {what}{lacks}"
+    if _is_shared(found[0], boards):
+        return None, f"the board with {what} {SHARED.format(number=found[0].number)}"
     if found[0].role not in ("beacon", "anchor"):
         return None, f"the board with {what} is a {found[0].role}"
     return found[0], ""
+
+
+def _is_shared(board: Board, boards: Sequence[Board]) -> bool:
+    """Whether another board has its number: what is set by the number would be set in both."""
+    return sum(other.number == board.number for other in boards) > 1
 
 
 def differences(conversation: Conversation, wanted: Sequence[Wanted]) -> list[Difference]:
@@ -207,6 +225,26 @@ def differences(conversation: Conversation, wanted: Sequence[Wanted]) -> list[Di
         for parameter, value in one.values.items()
         if (found := told.get((one.board.number, parameter))) != value
     ]
+
+
+@contextmanager
+def _told_if_cut_off(late: Collection[int]) -> Iterator[None]:
+    """Say what a push that ends amid its work, by Ctrl-C or a lost link, leaves behind.
+
+    Boards tell what they are set to, not what of it they have saved, and not which value they have started with: what
+    is missing then is seen by no comparison.
+    """
+    try:
+        yield
+    except BaseException:
+        tell(
+            "not all boards may have saved what was set, and it would end with a reset: push the site again",
+            failure=True,
+        )
+        if late:
+            numbers = listed(sorted(late))
+            tell(f"then restart those whose degree changes, {numbers}, each with goldfield nodes reset", failure=True)
+        raise
 
 
 def push(conversation: Conversation, wanted: Sequence[Wanted], *, pause: bool) -> int:
@@ -223,15 +261,16 @@ def push(conversation: Conversation, wanted: Sequence[Wanted], *, pause: bool) -
         If a board does not answer, refuses, or has another value in the end.
     """
     changes = differences(conversation, wanted)
-    conversation.write({(change.node, change.parameter): change.wanted for change in changes})
     boards = {one.board.number: one.board.unique_id for one in wanted}
-    save_all(conversation, boards, pause=pause)
     late = {one.node for one in changes if (found := find_id(one.parameter)) is not None and found[0].at_start}
-    nodes = conversation.roster.nodes
-    if late:
-        before = {number: nodes[number].restarts if number in nodes else 0 for number in late}
-        conversation.commands({number: (0, boards[number]) for number in late}, RESET)
-        await_restarts(conversation, before, "was restarted")
+    with _told_if_cut_off(late):
+        conversation.write({(change.node, change.parameter): change.wanted for change in changes})
+        save_all(conversation, boards, pause=pause)
+        nodes = conversation.roster.nodes
+        if late:
+            before = {number: nodes[number].restarts if number in nodes else 0 for number in late}
+            conversation.commands({number: (0, boards[number]) for number in late}, RESET)
+            await_restarts(conversation, before, "was restarted")
     left = differences(conversation, wanted)
     if left:
         raise SystemFailure(f"{conversation.name}: {left[0]} even after it was set: try again")
