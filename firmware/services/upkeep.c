@@ -41,7 +41,7 @@ static void collect_counters(node_t *node) {
  * together. */
 static uint64_t heartbeat_before(const node_t *node, uint64_t now_us) {
     const uint32_t place_us = NODE_HEARTBEAT_US / NODE_HEARTBEAT_PLACES;
-    return now_us - spread_place(node->id, NODE_HEARTBEAT_PLACES) * place_us;
+    return now_us - (uint64_t)spread_place(node->id, NODE_HEARTBEAT_PLACES) * place_us;
 }
 
 static uint8_t pack_heartbeat(const node_t *node, uint8_t data[8]) {
