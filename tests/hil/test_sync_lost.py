@@ -83,12 +83,12 @@ def pose_errors(bench, reports):
 def second(bench):
     """Run a second; return the reports, and the largest error of the beacons' edges against the master's, us.
 
-    Without edges, since no beacon but the master drives its coil, the error is not a number. The last edge of each
-    beacon is left out: where the drive ends, it is that of the enable.
+    Without edges, since no beacon but the master drives its coil, the error is not a number. The first and the last
+    edge of each beacon are left out: where the drive begins or ends, they are those of the enable.
     """
     bench.rig.watch_pins()
     reports = bench.advance(1.0)
-    edges = np.concatenate([phases[:-1] for phases in beacon_phases(bench)])
+    edges = np.concatenate([phases[1:-1] for phases in beacon_phases(bench)])
     return reports, 1e6 * np.abs(edges).max() if len(edges) else np.nan
 
 
