@@ -23,12 +23,17 @@ from goldfield.types import Block, Pose, Status
 LAG_S = 0.05
 """Time after which a pose goes out: an agile filter forgets within it, so that later blocks tell hardly more."""
 
+BRIDGED_S = 0.05
+"""Longest time between two blocks in which those between them have poses, too, though they were lost."""
+
 AT_ONCE = 8
 """Steps that go out together: the recursion runs over the lag once for all of them."""
 
 
 class BlockSmoother:
     """Smooths the track of one sensor: every pose of `BlockFilter` comes out once, in order, later and more accurate.
+
+    So do poses at the ends of blocks that were lost, if no more than `BRIDGED_S` passed without one.
 
     Parameters
     ----------
@@ -45,6 +50,7 @@ class BlockSmoother:
     def __init__(self, site: Site, lag_s: float = LAG_S) -> None:
         if not lag_s > 0.0:
             raise UserError(f"the lag is {lag_s:g} s; it must be above 0")
+        self._site = site
         self._filter = BlockFilter(site, kernel=False)
         self._reporter, self._hemisphere = Reporter(site), Hemisphere()
         self._lag_s = lag_s
@@ -52,6 +58,7 @@ class BlockSmoother:
 
     def update(self, block: Block, without: Sequence[str] = (), ratio: Mapping[str, float] | None = None) -> list[Pose]:
         """Take a block as `BlockFilter.update` does; return the poses that are now ready, oldest first."""
+        bridged = self._bridged(block)
         pose = self._filter.update(block, without, ratio)
         if pose is None:
             return []
@@ -61,6 +68,8 @@ class BlockSmoother:
             ready = self.finish()  # nothing is carried over: what is kept can gain no more
         if step is None:
             return [*ready, self._hemisphere.follow(pose)]
+        if self._kept:
+            self._kept += bridged
         self._kept.append((pose, step))
         old = sum(kept.middle_s <= step.middle_s - self._lag_s for _, kept in self._kept)
         if old >= AT_ONCE:
@@ -80,6 +89,28 @@ class BlockSmoother:
         for block in blocks:
             yield from self.update(block)
         yield from self.finish()
+
+    def _bridged(self, block: Block) -> list[tuple[Pose, Step]]:
+        """Return what is expected at the ends of the blocks that were lost before this one: steps without a block."""
+        if not self._kept:
+            return []
+        pose, step = self._kept[-1]
+        gap_s = block.time_s - pose.time_s
+        if not 0.0 < gap_s < BRIDGED_S:
+            return []
+        count = round(gap_s / (block.chips * self._site.chip_period_s))
+        steps: list[tuple[Pose, Step]] = []
+        for number in range(1, count):
+            seconds = number * gap_s / count
+            motion, transition = onward(step.known.motion, seconds)
+            covariance = transition @ step.known.covariance @ transition.T + added(step.agility, seconds)
+            last = block.chip + block.chips * (1 + number - count) - 1
+            expected = replace(
+                self._filter.pose_at(pose.time_s + seconds), epoch=block.cycle + last // self._site.chips
+            )
+            known = Estimate(motion, covariance)
+            steps.append((expected, Step(step.track, step.middle_s + seconds, known, step.agility, step.bias)))
+        return steps
 
     def _smoothed(self) -> list[Pose]:
         """Return the poses of all that is kept, by all that is kept."""

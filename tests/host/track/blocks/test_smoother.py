@@ -109,3 +109,31 @@ def test_poses_are_late_by_the_lag_and_none_is_lost_between_tracks():
     assert {pose.status for pose in out} <= {Status.OK, Status.UNVERIFIED}
     with pytest.raises(UserError, match="the lag is 0 s; it must be above 0"):
         BlockSmoother(SITES[2e-7], 0.0)
+
+
+@pytest.mark.parametrize("name", ["hand", "drone"])
+@pytest.mark.parametrize("every", [2, 3, 10])
+def test_lost_blocks_have_smoothed_poses_too(name, every):
+    """Each of several sensors that share a CAN sends a part of its blocks."""
+    stream = stream_of(name, 2e-8, 34, 0.8)
+    blocks = stream.blocks()
+    came = blocks[::every]
+    late = list(BlockSmoother(stream.site).poses(came))
+    np.testing.assert_allclose([pose.time_s for pose in late], [block.time_s for block in blocks[: len(late)]])
+    assert [pose.epoch for pose in late] == [(31 * k + 30) // 1023 for k in range(len(late))]
+    assert len(late) == every * (len(came) - 1) + 1
+    settled = late[66:-16]
+    rms_m, _, normal = figures(stream, settled)
+    track = BlockFilter(stream.site)
+    filtered = [track.update(block) for block in came]
+    assert rms_m < figures(stream, filtered[66 // every :])[0]
+    assert 0.3 < normal < 2.0
+
+
+def test_a_longer_gap_has_no_smoothed_poses():
+    stream = stream_of("drone", 2e-8, 34, 0.5)
+    blocks = stream.blocks()
+    for lost, bridged in ((14, True), (17, False)):  # 45 ms and 55 ms from end to end
+        came = [*blocks[:60], *blocks[60 + lost :]]
+        late = list(BlockSmoother(stream.site).poses(came))
+        assert len(late) == len(blocks) if bridged else len(late) == len(came)
