@@ -135,12 +135,13 @@ def _print_epochs(
     arguments: argparse.Namespace, sensor: Sensor, summary: Summary, beside: Beside
 ) -> Fanout[Epoch | Fix]:
     """Print the poses and the summary; return the sinks, of which an interrupt may have left one stuck."""
-    sinks = _sinks(arguments, sensor, summary)
+    sinks, ended = _sinks(arguments, sensor, summary), False
     try:
         with sinks, beside.feeds:
             for item in sensor.stream():
                 sinks.write(item)
                 beside.write(item, sensor)
+        ended = True
     except KeyboardInterrupt:  # the usual end of a live run
         sinks.close_again()
     finally:
@@ -148,7 +149,7 @@ def _print_epochs(
         summary.counters = sensor.counters
         summary.board_counters = sensor.board_counters
         summary.dropped = sinks.dropped | beside.feeds.dropped
-        if summary.epochs:
+        if summary.epochs or ended:
             aside = arguments.json or sinks.stuck
             if not aside or loudness() is not Loudness.QUIET:
                 text = summary.text(truth=bool(arguments.truth))

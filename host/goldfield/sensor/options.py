@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from enum import StrEnum
+from numbers import Real
 
 from goldfield.errors import UserError, option
 from goldfield.link.access_key import AccessKey
@@ -165,5 +165,7 @@ def most_strongest(site: Site) -> int:
 
 
 def _check_range(name: str, value: float | None, highest: float, unit: str) -> None:
-    if value is not None and not (math.isfinite(value) and 0.0 < value <= highest):
-        raise UserError(f"{option(name)}: {value:g} {unit} is not above 0 and at most {highest:g} {unit}")
+    if value is None or (isinstance(value, Real) and 0.0 < value <= highest):
+        return
+    told = f"{value:g}" if isinstance(value, float) else f"{value!r}"
+    raise UserError(f"{option(name)}: {told} {unit} is not above 0 and at most {highest:g} {unit}")

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+import goldfield
 from goldfield.cli import main
 from goldfield_protocol import decode, encode
 from tests.host.fake_sensor import CYCLE_S, NODE, POSITION_M, SITE, block_messages, candump, cycle_messages, heartbeat
@@ -40,9 +41,14 @@ def changed(message, name, index=None, **signals):
     return encode(name, dict(told.signals) | signals, node=NODE, index=told.index if index is None else index)
 
 
-def run(capsys, tmp_path, messages, *options):
+def written(tmp_path, messages):
     log = tmp_path / "a.log"
     log.write_text(candump(messages))
+    return log
+
+
+def run(capsys, tmp_path, messages, *options):
+    log = written(tmp_path, messages)
     code = main(["run", "--site", str(SITE), "--log", str(log), "--json", *options])
     captured = capsys.readouterr()
     return code, [json.loads(line) for line in captured.out.splitlines()], captured.err
@@ -117,3 +123,43 @@ def test_that_no_blocks_come_is_said_at_once_and_where_they_end(capsys, tmp_path
     code, lines, said = run(capsys, tmp_path, begun, "--rate", "330")
     assert code == 0
     assert "no blocks of chips come: there is one pose a cycle" in said
+
+
+@pytest.mark.parametrize("options", [["--rate", "100"], ["--rate", "330"], []])
+def test_poses_with_a_lag_of_every_third_block(capsys, tmp_path, whole, options):
+    """There were none but where a pose was due at the very end of a block."""
+    messages, blocks = [], 0
+    for time_s, message in whole:
+        name = kind(message)
+        blocks += name == "BLOCK"
+        if name not in ("BLOCK", "BLOCK_SUM") or blocks % 3 == 1:
+            messages.append((time_s, message))
+    code, lines, _ = run(capsys, tmp_path, messages, "--lag", *options)
+    rate = float(options[1]) if options else 1.0 / CYCLE_S
+    assert code == 0
+    assert sound(lines)
+    assert len(lines) == pytest.approx(COUNT * CYCLE_S * rate, abs=3.5)
+
+
+def test_a_run_without_a_pose_says_so(capsys, tmp_path, whole):
+    code, lines, said = run(capsys, tmp_path, whole, "--rate", "1e-9")
+    assert (code, lines) == (0, [])
+    assert said == "0 poses: none\n"
+
+
+@pytest.mark.parametrize("rate", [0, -1.0, np.nan, np.inf, 1e9, 10**400, "330", [330.0]])
+def test_a_rate_that_is_none_is_told_in_a_sentence(tmp_path, whole, rate):
+    with pytest.raises(goldfield.UserError, match=r"rate_hz=: .* Hz is not above 0 and at most 10000 Hz"):
+        goldfield.open_log(written(tmp_path, whole), site=goldfield.load_site(SITE), rate_hz=rate)
+
+
+@pytest.mark.parametrize("ahead_s", [np.nan, np.inf, -np.inf, 60.1, -60.1, 1e300])
+def test_a_time_that_is_far_from_all_blocks_is_told_in_a_sentence(tmp_path, whole, ahead_s):
+    with goldfield.open_log(
+        written(tmp_path, whole), site=goldfield.load_site(SITE), rate_hz=np.float32(330)
+    ) as sensor:
+        pose = next(sensor.poses())
+        assert sensor.pose_at(pose.time_s + 59.9).status is not goldfield.Status.OK
+        with pytest.raises(goldfield.UserError, match="ask for a time within 60 s of it"):
+            sensor.pose_at(pose.time_s + ahead_s)
+        assert sensor.pose_at(pose.time_s + 0.005).time_s == pose.time_s + 0.005

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from goldfield.errors import UserError
 from goldfield.field import FieldModel
 from goldfield.locate.rotations import matrix_of
 from goldfield.site import Site
@@ -52,6 +53,9 @@ RIVAL = 15.0
 
 CONSIDERED = 8
 """What the errors of the site do is computed with every so manieth block: 25 ms, in which it hardly changes."""
+
+NEAR_S = 60.0
+"""Longest time from the last block for which there is a pose: its deviation is 2 km then at the greatest agility."""
 
 UNHEARD_S = 1.0
 """The track is given up after this time in which no beacon was heard."""
@@ -168,7 +172,18 @@ class BlockFilter:
         return self._hemisphere.follow(pose)
 
     def pose_at(self, time_s: float) -> Pose:
-        """Return the pose at any time near the last block's, with the uncertainty that the motion adds."""
+        """Return the pose at any time near the last block's, with the uncertainty that the motion adds.
+
+        Raises
+        ------
+        UserError
+            If the time is none, or further than `NEAR_S` from that of the last block.
+        """
+        if math.isfinite(self._end_s) and not abs(time_s - self._end_s) <= NEAR_S:
+            raise UserError(
+                f"time_s= of pose_at is {time_s:g} s and the last block ended at {self._end_s:.3f} s: ask for a time "
+                f"within {NEAR_S:g} s of it"
+            )
         if not self._banks:
             nothing = Fields(self._epoch, time_s, (), np.empty((0, 3)), np.empty(0))
             return Pose.failed(nothing, reason="there is no track")
