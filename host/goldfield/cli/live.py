@@ -124,11 +124,11 @@ def _written_at_the_end(summary: Summary, path: str, *, force: bool) -> Iterator
     try:
         yield
     finally:
-        if summary.epochs:
-            file.write(f"{json_line(summary.record())}\n".encode())
-            file.close()
-        else:
-            file.discard()
+        with file:  # a full disk leaves nothing of it
+            if summary.epochs:
+                file.write(f"{json_line(summary.record())}\n".encode())
+            else:
+                file.discard()
 
 
 def _print_epochs(

@@ -120,6 +120,18 @@ def test_a_full_disk_ends_a_recording_at_a_whole_message_and_not_the_run(tmp_pat
     assert "the run goes on" in done.stderr
 
 
+def test_a_full_disk_leaves_nothing_of_a_summary(tmp_path):
+    """Its first part lay beside it, under another name."""
+    target = tmp_path / "summary.json"
+    words = ["run", "--site", SITE, "--log", LOG, "--json", "--summary", target]
+    done = run(*words, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100)))
+    assert done.returncode == 3
+    assert done.stderr.splitlines()[-1].startswith(f"goldfield: {target}: the summary cannot be written: ")
+    assert list(tmp_path.iterdir()) == []
+    assert run(*words).returncode == 0
+    assert target.read_text().startswith('{"epochs": ')
+
+
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_a_signal_leaves_no_half_of_a_table(tmp_path, number):
     """Whatever the command: here `separate`, which has written a cycle and waits for more."""
