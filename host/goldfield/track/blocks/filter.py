@@ -136,6 +136,7 @@ class BlockFilter:
         self._level: tuple[Verdict, float, float] | None = None
         self._axes = 3
         self._epoch = -1
+        self._untracked: str | None = None  # why the last block, if there is no track, began none
 
     def update(
         self, block: Block, without: Sequence[str] = (), ratio: Mapping[str, float] | None = None
@@ -167,6 +168,7 @@ class BlockFilter:
         middle_s, self._end_s = block.time_s - form.end_s, block.time_s
         located = self._go_on(form, middle_s) if self._banks else self._begin(form, middle_s)
         pose = self._located(located) if not self._banks else self._pose(self._end_s)
+        self._untracked = pose.reason
         if broken is not None:
             pose = replace(pose, reason=joined(pose.reason, broken))
         return self._hemisphere.follow(pose)
@@ -186,7 +188,7 @@ class BlockFilter:
             )
         if not self._banks:
             nothing = Fields(self._epoch, time_s, (), np.empty((0, 3)), np.empty(0))
-            return Pose.failed(nothing, reason="there is no track")
+            return Pose.failed(nothing, reason=joined("there is no track", self._untracked))
         return self._hemisphere.nearest(self._pose(time_s))
 
     @property

@@ -290,6 +290,7 @@ def test_no_data_gives_no_pose_and_noise_none_either():
     assert pose.status is Status.FAILED
     assert track.state is None
     assert track.pose_at(0.004).status is Status.FAILED
+    assert track.pose_at(0.004).reason.startswith("there is no track; ")
 
 
 def test_poses_at_other_times_are_extrapolated():
