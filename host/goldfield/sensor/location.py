@@ -9,14 +9,13 @@ from dataclasses import replace
 import numpy as np
 
 from goldfield.errors import UserError, tell
-from goldfield.link.blocks import BLOCK_CHIPS
 from goldfield.link.reports import Report
 from goldfield.locate import locate
 from goldfield.sensor.confirmation import Confirmation
 from goldfield.sensor.dialogue import Parameters
 from goldfield.sensor.guard import guarded
 from goldfield.sensor.on_sensor import on_sensor_parameters, on_sensor_pose
-from goldfield.sensor.options import Method, Options
+from goldfield.sensor.options import Method, Options, blocks_a_pose
 from goldfield.site import Site
 from goldfield.track import EpochObserver, Tracker, Witness
 from goldfield.track.continuity import Hemisphere, joined, time_break
@@ -162,8 +161,7 @@ def needed_parameters(site: Site, options: Options, *, blocks: Parameters) -> Pa
     if options.method is Method.ON_SENSOR:
         if options.rate_hz is None:
             return on_sensor_parameters(site)
-        block_s = BLOCK_CHIPS * site.cycle_s / site.chips
-        return on_sensor_parameters(site, max(1, round(1.0 / (options.rate_hz * block_s))))
+        return on_sensor_parameters(site, round(blocks_a_pose(site, options.rate_hz)))
     return blocks
 
 

@@ -135,8 +135,9 @@ class Sensor:
         # Nobody waits for the next pose of a recording: a second thread would only cost time.
         self._aside = ThreadPoolExecutor(1, "judge") if isinstance(source, BusSource) else None
         self._between = _between(site, self._options, self._aside)
-        self._in_a_row = CYCLES_AT_ONCE
-        """Cycles since the latest block or pose of a block; at the begin so many that the first one tells."""
+        self._in_a_row = 0 if self._between is not None and self._between.takes_poses else CYCLES_AT_ONCE
+        """Cycles since the latest block or pose of a block; at the begin so many that the first one without tells. A
+        sensor begins its own track with the first cycle that it locates."""
         self._session = Session(
             source,
             name,

@@ -10,7 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from goldfield import site as sites
 from goldfield.cli import main
+from goldfield.errors import UserError
 from goldfield.sensor.on_sensor import OnSensorTrack, on_sensor_parameters
+from goldfield.sensor.options import Method, Options
 from goldfield.site.reading import ASSUMED_AXIS_SD_RAD, ASSUMED_GAIN_SD, ASSUMED_SURVEY
 from goldfield.types import Status
 from goldfield_protocol import decode, encode
@@ -290,3 +292,28 @@ def test_cycles_do_not_take_the_poses_of_blocks(capsys, tmp_path):
 def test_the_number_of_blocks_is_among_the_parameters():
     site, identifier = sites.load(SITE), PARAMETERS["pose_blocks"].identifier(0)
     assert [on_sensor_parameters(site, n)[identifier] for n in (0, 3)] == [0, 3]
+
+
+def test_a_rate_below_the_sensors_least_is_told_before_it_is_asked():
+    """The sensor refused pose_blocks = 330006, as if it had failed."""
+    site, block_s = sites.load(SITE), 31 * 97.75e-6
+    Options(Method.ON_SENSOR, rate_hz=1.0 / (1023.4 * block_s)).check(site)
+    for rate in (1.0 / (1023.6 * block_s), 1e-3, 1e-320):
+        with pytest.raises(UserError, match=r"less often than a sensor sends poses of blocks, 0\.323 Hz"):
+            Options(Method.ON_SENSOR, rate_hz=rate).check(site)
+    Options(Method.TRACK, rate_hz=1e-3).check(site)
+
+
+def test_the_first_cycles_without_a_pose_of_a_block_are_not_told_as_none_at_all(capsys, tmp_path):
+    site = sites.load(SITE)
+    messages = [heartbeat()]
+    for cycle in range(4, 12):
+        messages += cycle_messages(cycle) + pose_messages(cycle)
+        if cycle > 5:
+            poses = block_pose_messages(site, cycle, 1022)
+            messages += [encode(one.name, dict(one.signals), node=NODE, index=one.index) for one in poses]
+    _, lines, said = run(capsys, tmp_path, messages, "--on-sensor", "--rate", "10")
+    assert "which a rate needs" not in said
+    none = [message for message in messages if decode(*message).index == 0 or decode(*message).name == "FIELD"]
+    _, _, said = run(capsys, tmp_path, none, "--on-sensor", "--rate", "10")
+    assert "the sensor sends no poses of blocks, which a rate needs" in said

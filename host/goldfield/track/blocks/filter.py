@@ -188,7 +188,8 @@ class BlockFilter:
             )
         if not self._banks:
             nothing = Fields(self._epoch, time_s, (), np.empty((0, 3)), np.empty(0))
-            return Pose.failed(nothing, reason=joined("there is no track", self._untracked))
+            reason = "there is no track"
+            return Pose.failed(nothing, reason=joined(reason, self._untracked) or reason)
         return self._hemisphere.nearest(self._pose(time_s))
 
     @property
