@@ -136,12 +136,13 @@ def starts(options):
         runs = rate_trials.starts(BlockFilter, noise_T, options.count, options.first)
         far_m = FAR_M * noise_T / 2e-7 if noise_T < 1e-7 else FAR_M
         failed = [number for number, run in enumerate(runs) if rate_trials.lost(run, 2.0 * far_m)]
+        where = ", ".join(f"{number}: {1e3 * runs[number].distance_m[-1]:.1f} mm" for number in failed[:9])
         rows = [[run.distance_m[block] for run in runs] for block in (0, 9, 32)]
         rms = " ".join(f"{1e3 * np.sqrt(np.nanmean(np.square(row))):.1f}" for row in rows)
         everything = Errors.joined(runs)
         first = [str(run.status[0]) for run in runs]
         print(
-            f"{len(runs)} starts in motion, {noise_T * 1e7:g} mG: {len(failed)} lost {failed[:9]}; rms after 1, 10, 33"
+            f"{len(runs)} starts in motion, {noise_T * 1e7:g} mG: {len(failed)} lost ({where}); rms after 1, 10, 33"
             f" blocks {rms} mm; wrong {everything.wrong} of {len(everything.status)} poses;"
             f" first poses {', '.join(f'{first.count(name)} {name}' for name in sorted(set(first)))}",
             flush=True,

@@ -312,7 +312,7 @@ def test_the_first_cycles_without_a_pose_of_a_block_are_not_told_as_none_at_all(
         if cycle > 5:
             poses = block_pose_messages(site, cycle, 1022)
             messages += [encode(one.name, dict(one.signals), node=NODE, index=one.index) for one in poses]
-    _, lines, said = run(capsys, tmp_path, messages, "--on-sensor", "--rate", "10")
+    _, _, said = run(capsys, tmp_path, messages, "--on-sensor", "--rate", "10")
     assert "which a rate needs" not in said
     none = [message for message in messages if decode(*message).index == 0 or decode(*message).name == "FIELD"]
     _, _, said = run(capsys, tmp_path, none, "--on-sensor", "--rate", "10")
