@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from goldfield.field import FieldModel
-from goldfield.locate.mirror import find_mirror
+from goldfield.locate.mirror import find_mirrors
 from goldfield.survey.constraints import name_of_known
 from goldfield.survey.data import Free, SurveyData
 from goldfield.survey.outcome import Solution
@@ -77,7 +77,8 @@ def advice_of(solution: Solution, data: SurveyData, sought: frozenset[Free]) -> 
             + metal
         )
     lines += _worst(solution)
-    if solution.problem.site.half_space is None and find_mirror(model) is not None and data.epochs:
+    walked_m = solution.state.sensor_m
+    if solution.problem.site.half_space is None and any(m.concerns(walked_m).any() for m in find_mirrors(model)):
         lines.append(
             "all beacons are about in one plane or around one point, so that poses may be mirror images; the beacons "
             "are right all the same: give half_space in the site file"
