@@ -19,9 +19,10 @@
  * Limits. Any mix of axes, moments and heights is allowed; coils are exact at any range. At least POSE_BEACONS_LEAST
  * beacons are needed. Sensors with fewer than three axes are not here but on the host.
  *
- * Mirror. Coplanar coils that all point across their plane have an exact mirror pose, p mirrored and the sensor turned
+ * Images. Coplanar coils that all point across their plane have an exact mirror pose, p mirrored and the sensor turned
  * half around the normal, with exactly the same fields. The half-space decides, if there is one; else the status is
- * ambiguous. Nearly coplanar ones (a quarter of their extent) are tried too, and judged by the fields.
+ * ambiguous. Nearly coplanar ones (a quarter of their extent) are tried too, and judged by the fields. So is the place
+ * across the middle of all coils, from four times their extent on: coils around a point have the same fields there.
  *
  * Accuracy. Model, weights and covariance (pose_covariance) are the host's; the poses agree within a tenth of the
  * Cramer-Rao bound (tests/firmware/core/pose/test_pose.py; at a tenth of the noise, 0.2 mG, and about a radius from a

@@ -100,14 +100,11 @@ bool pose_solve_step(pose_solver_t *solver, uint32_t *evaluations) {
     return false;
 }
 
-bool pose_solve_mirror(pose_solver_t *solver, uint32_t *evaluations) {
+/* Fits the image, and goes over to it if it is better or on the right side. Returns whether it explains the fields,
+ * too, and the half-space does not decide. */
+static bool rivals(pose_solver_t *solver, uint32_t *evaluations) {
     pose_problem_t *problem = &solver->problem;
     pose_fit_t *best = &solver->best, *image = &solver->image;
-    float point[3], normal[3];
-    if (!pose_mirror_plane(problem, point, normal)) {
-        return false;
-    }
-    pose_mirror_reflect(point, normal, best, image);
     *evaluations += pose_fit(problem, POSE_NEAR_EVALUATIONS, image);
     if (!different(problem, image, best) || image->cost - best->cost >= RIVAL_COST) {
         return false;
@@ -118,4 +115,25 @@ bool pose_solve_mirror(pose_solver_t *solver, uint32_t *evaluations) {
         *best = *image;
     }
     return here == there;
+}
+
+bool pose_solve_mirror(pose_solver_t *solver, uint32_t *evaluations) {
+    pose_fit_t *best = &solver->best, *image = &solver->image;
+    float point[3], normal[3], extent2;
+    bool contested = false;
+    const bool plane = pose_mirror_plane(&solver->problem, point, normal, &extent2);
+    if (plane) {
+        pose_mirror_reflect(point, normal, best, image);
+        contested = rivals(solver, evaluations);
+    }
+    if (pose_mirror_is_far(point, extent2, best->position_m)) {
+        pose_mirror_across(point, best, image);
+        contested = rivals(solver, evaluations) || contested;
+        if (plane) {
+            pose_mirror_reflect(point, normal, best, image);
+            pose_mirror_across(point, image, image);
+            contested = rivals(solver, evaluations) || contested;
+        }
+    }
+    return contested;
 }

@@ -1,7 +1,7 @@
 /* pose_solve.h: the pose that explains the fields of a problem best, with no prior, in steps of bounded time.
  *
  * Calls: pose_solve_begin, then pose_solve_step until it returns true: the best fit is then in solver->best, and
- * solver->contested tells whether another one is as good. pose_solve_mirror looks at the mirror image of the best fit.
+ * solver->contested tells whether another one is as good. pose_solve_mirror looks at its images.
  *
  * Method. pose_search gives candidates on a shell around the strongest beacon. They are fitted, the best first, first
  * with a model error that leads into the right valley, then with the declared errors, until one explains the fields.
@@ -44,8 +44,8 @@ void pose_solve_begin(pose_solver_t *solver, uint32_t directions, uint32_t evalu
  * Returns true if none was left. best.cost is POSE_FIT_HOPELESS if there is no pose at all. */
 bool pose_solve_step(pose_solver_t *solver, uint32_t *evaluations);
 
-/* Go over to the mirror image of the best fit, if there is one that is better or on the right side. Returns whether
- * both explain the fields. */
+/* Go over to an image of the best fit (pose_mirror.h), if there is one that is better or on the right side. Returns
+ * whether both explain the fields. */
 bool pose_solve_mirror(pose_solver_t *solver, uint32_t *evaluations);
 
 #endif

@@ -358,9 +358,15 @@ def test_images_of_coils_flat_to_a_quarter(core, thickness, tilt, flat):
         across = np.sqrt(1.0 - thickness**2) * np.array([x, y, 0.0])
         problem.heard[row].loop.centre_m = (across + np.array([5.0, 6.0, 7.0 + thickness * (1 if x else -1)])).tolist()
         problem.heard[row].loop.axis = [tilt * x, tilt * y, float(np.sqrt(1.0 - tilt**2))]
-    assert bool(lib.pose_mirror_plane(problem, point, normal)) == flat
+    assert bool(lib.pose_mirror_plane(problem, point, normal, ffi.new("float *"))) == flat
     assert list(normal) == pytest.approx([0.0, 0.0, 1.0], abs=1e-6)
     assert list(point) == pytest.approx([5.0, 6.0, 7.0])
+
+
+@pytest.mark.parametrize(("distance", "far"), [(3.99, False), (4.01, True)])
+def test_an_image_by_the_point_is_tried_from_four_extents_on(core, distance, far):
+    ffi, lib = core
+    assert lib.pose_mirror_is_far([1.0, 2.0, 3.0], 0.25, [1.0, 2.0 + 0.3 * distance, 3.0 - 0.4 * distance]) == far
 
 
 def bisected(locate, low):
