@@ -30,8 +30,8 @@ class PoseTable:
     """Makes a line of each pose; the header comes again now and then.
 
     The columns are the cycle's number, the position in metres, roll, pitch and yaw in degrees, the standard deviation
-    of the position in centimetres, the number of beacons used, the residual, and the status with the beacons that were
-    left out. With the truth, errors in centimetres and degrees take the place of that number and of the angles'
+    of the position and its protection level in centimetres, with the number of beacons used between them, and the status
+    with the beacons that were left out. With the truth, errors in centimetres and degrees take the place of that number and of the angles'
     decimals. Below a pose stands its reason, when it is another
     than that of the pose before.
 
@@ -61,7 +61,7 @@ class PoseTable:
             columns += [_cell(error.position_m * 100.0, 5, 2), _cell(math.degrees(error.attitude_rad), 5, 2)]
         elif not self.times:
             columns.append(f"{len(pose.used):2d}")
-        columns.append(_cell(pose.residual, 5, 2))
+        columns.append(_cell(pose.protection_m * 100.0, 5, 1))
         said = [pose.status.value]
         said += [f"no {' '.join(pose.excluded)}"] if pose.excluded and pose.used else []
         said += [f"{lost} lost"] if lost else []
@@ -77,7 +77,7 @@ class PoseTable:
         angles = f"{'roll':>5} {'pitch':>5} {'yaw':>5}" if self.truth else f"{'roll':>6} {'pitch':>6} {'yaw':>6}"
         first = f"{'t s':>{TIME}}" if self.times else f"{'epoch':>6}"
         more = f"{'e cm':>5} {'e deg':>5} " if self.truth else "" if self.times else f"{'n':>2} "
-        return f"{first} {'x m':>7} {'y m':>7} {'z m':>7} {angles} {'sd cm':>5} {more}{'resid':>5}  status"
+        return f"{first} {'x m':>7} {'y m':>7} {'z m':>7} {angles} {'sd cm':>5} {more}{'pl cm':>5}  status"
 
 
 def position_sd_m(pose: Pose) -> float:

@@ -317,7 +317,7 @@ def test_errors_against_the_truth(tmp_path, capsys):
     assert f"rms error of 3 ok poses: position {rms * 100:.2f} cm" in err
     code, out, _ = run(capsys, "--log", path, "--truth", truth)
     header, *rows, _, summary = out.splitlines()
-    assert "   yaw sd cm  e cm e deg resid" in header
+    assert "   yaw sd cm  e cm e deg pl cm" in header
     assert float(rows[0].split()[8]) == pytest.approx(lines[0]["position_error_m"] * 100, abs=0.006)
     assert summary.startswith("rms error of 3 ok poses")
 

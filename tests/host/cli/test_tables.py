@@ -102,7 +102,7 @@ def test_a_defect_in_location_costs_the_epoch_only(tmp_path, capsys, monkeypatch
 def test_tables_for_people(tmp_path, capsys):
     assert run(tmp_path, "locate", [*fields_table(1), "3,0.3,b1,,,"]) == 0
     header, ok, failed, reason, *summary = capsys.readouterr().out.splitlines()
-    assert " ".join(header.split()) == "epoch x m y m z m roll pitch yaw sd cm n resid status"
+    assert " ".join(header.split()) == "epoch x m y m z m roll pitch yaw sd cm n pl cm status"
     assert ok.split()[:4] == ["0", "0.900", "1.200", "0.800"]
     assert ok.endswith("  ok")
     assert failed.split() == ["3", *"-------", "0", "-", "failed"]

@@ -15,7 +15,7 @@ from goldfield.view.truth import PoseError
 def pose(epoch, status=Status.OK, **more):
     sd = np.diag([1e-4, 4e-4, 4e-4])  # the root of the sum is 3 cm
     turn = Rotation.from_euler("ZYX", [-179.9, -60.0, -179.9], degrees=True).as_quat()
-    given = {"excluded": (), "reason": None} | more
+    given = {"excluded": (), "reason": None, "protection_m": 0.2551} | more
     return Pose(epoch, 0.1 * epoch, np.array([-12.3456, 7.0, 0.25]), turn, sd, sd, 1.234, status, ("b1", "b3"), **given)
 
 
@@ -30,10 +30,19 @@ def test_roll_pitch_yaw_against_scipy():
         np.testing.assert_allclose(roll_pitch_yaw_deg(rotation.as_quat()), [roll, pitch, yaw], atol=1e-9)
 
 
-def test_a_line_has_the_standard_deviation_and_who_was_left_out():
+def test_a_line_has_deviation_and_protection_level_and_who_was_left_out():
     header, line = PoseTable().line(pose(7, excluded=("b2",))).splitlines()
-    assert " ".join(header.split()) == "epoch x m y m z m roll pitch yaw sd cm n resid status"
-    assert " ".join(line.split()) == "7 -12.346 7.000 0.250 -179.9 -60.0 -179.9 3.0 2 1.23 ok, no b2"
+    assert " ".join(header.split()) == "epoch x m y m z m roll pitch yaw sd cm n pl cm status"
+    assert " ".join(line.split()) == "7 -12.346 7.000 0.250 -179.9 -60.0 -179.9 3.0 2 25.5 ok, no b2"
+
+
+@pytest.mark.parametrize("table", [{}, {"times": True}, {"truth": True}])
+def test_every_line_has_the_protection_level(table):
+    """A dash where nothing is promised."""
+    for level, text in ((0.2551, "25.5"), (np.inf, "-")):
+        header, line = PoseTable(**table).line(replace(pose(7), protection_m=level)).splitlines()
+        end = header.index("pl cm") + 5
+        assert line[end - 5 : end].strip() == text
 
 
 @pytest.mark.parametrize("status", list(Status))
@@ -46,12 +55,15 @@ def test_every_status_fits_80_columns(status):
 
 def test_numbers_of_any_size_keep_their_columns():
     large = replace(
-        pose(3), position_m=np.array([-12345.678, 9.87e15, -4e-9]), position_cov_m2=np.eye(3) * 1e70, residual=30352.21
+        pose(3),
+        position_m=np.array([-12345.678, 9.87e15, -4e-9]),
+        position_cov_m2=np.eye(3) * 1e70,
+        protection_m=303.5221,
     )
     header, line = PoseTable().line(large).splitlines()
     assert line.split()[1:4] == ["-12346", "1e+16", "-0.000"]
     assert line.split()[7:10] == ["2e+37", "2", "30352"]
-    assert line.index("30352") + 5 == header.index("resid") + 5
+    assert line.index("30352") + 5 == header.index("pl cm") + 5
 
 
 def test_with_the_truth_a_pose_fits_80_columns_too():
