@@ -30,10 +30,9 @@ class PoseTable:
     """Makes a line of each pose; the header comes again now and then.
 
     The columns are the cycle's number, the position in metres, roll, pitch and yaw in degrees, the standard deviation
-    of the position and its protection level in centimetres, with the number of beacons used between them, and the status
-    with the beacons that were left out. With the truth, errors in centimetres and degrees take the place of that number and of the angles'
-    decimals. Below a pose stands its reason, when it is another
-    than that of the pose before.
+    of the position in centimetres, the number of beacons used, the protection level in centimetres, and the status with
+    the beacons that were left out. With the truth, errors in centimetres and degrees take the place of that number and
+    of the angles' decimals. Below a pose stands its reason, when it is another than that of the pose before.
 
     Parameters
     ----------
