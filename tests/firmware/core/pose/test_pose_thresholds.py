@@ -365,7 +365,7 @@ def test_images_of_coils_flat_to_a_quarter(core, thickness, tilt, flat):
 
 @pytest.mark.parametrize(("distance", "far"), [(3.99, False), (4.01, True)])
 def test_an_image_by_the_point_is_tried_from_four_extents_on(core, distance, far):
-    ffi, lib = core
+    _, lib = core
     assert lib.pose_mirror_is_far([1.0, 2.0, 3.0], 0.25, [1.0, 2.0 + 0.3 * distance, 3.0 - 0.4 * distance]) == far
 
 
