@@ -11,7 +11,7 @@ from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
-from goldfield.errors import SystemFailure, UserError
+from goldfield.errors import SystemFailure, UserError, counted
 from goldfield.link.access import KEY, Locked
 from goldfield.link.access_key import AccessKey
 from goldfield.link.requests import Value
@@ -152,8 +152,8 @@ def assigned(boards: Sequence[Board], first: int, *, renew: bool) -> dict[str, i
     if len(told) < len(boards):
         (unique_id, count), *_ = told.most_common(1)
         raise UserError(
-            f"{count} boards tell the unique id {unique_id}, so that none of them can be meant alone: leave one "
-            "of them on the link, and replace the others"
+            f"{counted(count, 'boards tell')} the unique id {unique_id}, so that none of them can be meant alone: "
+            "leave one of them on the link, and replace the others"
         )
     result: dict[str, int] = {}
     if not renew:

@@ -15,7 +15,8 @@ from goldfield.sensor.confirmation import Confirmation
 from goldfield.sensor.dialogue import Parameters
 from goldfield.sensor.guard import guarded
 from goldfield.sensor.on_sensor import on_sensor_parameters, on_sensor_pose
-from goldfield.sensor.options import Method, Options, blocks_a_pose
+from goldfield.sensor.options import Method, Options
+from goldfield.sensor.pose_rate import blocks_a_pose
 from goldfield.site import Site
 from goldfield.track import EpochObserver, Tracker, Witness
 from goldfield.track.continuity import Hemisphere, joined, time_break
@@ -161,7 +162,7 @@ def needed_parameters(site: Site, options: Options, *, blocks: Parameters) -> Pa
     if options.method is Method.ON_SENSOR:
         if options.rate_hz is None:
             return on_sensor_parameters(site)
-        return on_sensor_parameters(site, round(blocks_a_pose(site, options.rate_hz)))
+        return on_sensor_parameters(site, blocks_a_pose(site, options.rate_hz))
     return blocks
 
 

@@ -8,9 +8,7 @@ from numbers import Real
 
 from goldfield.errors import UserError, option
 from goldfield.link.access_key import AccessKey
-from goldfield.link.blocks import BLOCK_CHIPS
 from goldfield.site import Site
-from goldfield_protocol.parameters import PARAMETERS
 
 LAST_NODE = 4095
 """The largest node that the twelve bits of a message's identifier hold; 0 is no node."""
@@ -23,9 +21,6 @@ USUAL_STRONGEST = 16
 
 MOST_STRONGEST = 64
 """Most codes that a sensor can choose by their strength, as many as it reports."""
-
-MOST_POSE_BLOCKS = int(PARAMETERS["pose_blocks"].high)
-"""Most blocks that a sensor takes between two of its poses."""
 
 LONGEST_LAG_S = 2.0
 """Longest lag of a smoothed pose; after 100 ms there is next to nothing to gain."""
@@ -125,12 +120,10 @@ class Options:
             self._check_strongest(site)
         if self.method is not Method.ON_SENSOR:
             return
-        if self.rate_hz is not None and round(blocks_a_pose(site, self.rate_hz)) > MOST_POSE_BLOCKS:
-            least_Hz = 1.0 / (MOST_POSE_BLOCKS * BLOCK_CHIPS * site.chip_period_s)
-            raise UserError(
-                f"{option('rate_hz')}: {self.rate_hz:g} Hz is less often than a sensor sends poses of blocks, "
-                f"{least_Hz:.3g} Hz: give a higher rate, or none for a pose of each cycle"
-            )
+        if self.rate_hz is not None:
+            from goldfield.sensor.pose_rate import blocks_a_pose  # loads all messages: not for the help of a command
+
+            blocks_a_pose(site, self.rate_hz)
         told = (site.sensor.axes, site.sensor.noise_ratio, site.sensor.lever_m)
         if any(part is not None for part in told):
             raise UserError(
@@ -168,11 +161,6 @@ class Options:
                 f"site {site.name}: a sensor never chooses code {site.chips + 1}, which leaks into others: give that "
                 f"beacon another code, or leave out {option('strongest')}"
             )
-
-
-def blocks_a_pose(site: Site, rate_hz: float) -> float:
-    """Return after how many of its blocks a sensor is to send a pose."""
-    return max(1.0, 1.0 / max(rate_hz * BLOCK_CHIPS * site.chip_period_s, 1e-9))
 
 
 def most_strongest(site: Site) -> int:

@@ -230,6 +230,7 @@ def counts_of_a_hand_near_a_coil(
     return position, lambda cycle, chip: np.asarray(counts[(cycle * CHIPS + chip) % len(counts)])
 
 
+@pytest.mark.long
 def test_a_track_that_a_hand_moves_beside_a_coil_is_within_its_protection_level(make: Callable[..., World]) -> None:
     """How far its poses are off, over their deviations, and in how many tracks more than three of them, for a while."""
     rng, squares, most, last = np.random.default_rng(14), [], [], []
