@@ -51,6 +51,31 @@ def test_fields_are_those_of_the_middle(seed):
     assert after < 0.35 * before
 
 
+def test_a_weak_beacon_that_comes_or_goes_leaves_the_others_their_repair():
+    """As where a sensor reports the strongest: each change cost all of them the repair of two cycles."""
+    _, epochs, true = followed(1, 0.5, 1.0, 0.0)
+    weakest = int(np.argmin(np.linalg.norm(true, axis=2).max(axis=0)))
+    rest = np.delete(np.arange(len(IDS)), weakest)
+    names, order = tuple(IDS[row] for row in rest), rest[::-1]
+    repair, others = MotionRepair(SITE), MotionRepair(SITE)
+    left = []
+    for k, fields in enumerate(epochs):
+        apart = np.array([*order, weakest]) if k % 2 else order
+        some = replace(
+            fields,
+            beacons=tuple(IDS[row] for row in apart),
+            field_T=fields.field_T[apart],
+            sigma_T=fields.sigma_T[apart],
+        )
+        mended = repair.repaired(some)
+        whole = others.repaired(
+            replace(fields, beacons=names, field_T=fields.field_T[rest], sigma_T=fields.sigma_T[rest])
+        )
+        if k >= 3:
+            left.append(mended.field_T[: len(order)][::-1] - whole.field_T)
+    assert np.sqrt(np.mean(np.square(left))) < 0.1 * SIGMA_T
+
+
 def test_noise_is_not_larger_at_rest():
     _, epochs, true = followed(4, 0.0, 0.0, NOISE_T, count=60)
     repair = MotionRepair(SITE)
@@ -84,7 +109,12 @@ def test_what_does_not_follow_or_jumps_is_left_as_it_came():
     assert changed(epochs) == [False] * 2 + [True] * 10
     assert changed(epochs[:4] + epochs[5:]) == [False, False, True, True, False, False] + [True] * 5
     less = replace(epochs[4], beacons=IDS[1:], field_T=epochs[4].field_T[1:], sigma_T=epochs[4].sigma_T[1:])
-    assert changed([*epochs[:4], less, *epochs[5:8]]) == [False, False, True, True, False, False, False, True]
+    assert changed([*epochs[:4], less, *epochs[5:8]]) == [False] * 2 + [True] * 6
+    elsewhere = replace(epochs[4], beacons=tuple(f"{name}'" for name in IDS))
+    repair = MotionRepair(SITE)
+    for fields in epochs[:4]:
+        repair.repaired(fields)
+    assert repair.repaired(elsewhere) is elsewhere
     jumped = epochs[4].field_T.copy()
     jumped[2] *= 2.0
     assert changed([*epochs[:4], replace(epochs[4], field_T=jumped), *epochs[5:9]])[4:] == [False] * 3 + [True] * 2
