@@ -31,8 +31,8 @@ def bench(monkeypatch, tmp_path):
 
 @pytest.mark.long
 def test_boards_on_ports_of_their_own_from_the_box_to_poses(bench, tmp_path, monkeypatch):
-    made, site = bench(6), tmp_path / "room.toml"
-    ports = range(7)
+    made, site = bench(8), tmp_path / "room.toml"
+    ports = range(9)
     found = [made.lines("nodes", "boards", port=port) for port in ports]
     assert all(len(lines) == 1 for lines in found)  # Each port has its board, and no other.
     listed = [line for lines in found for line in lines]
@@ -59,7 +59,7 @@ def test_boards_on_ports_of_their_own_from_the_box_to_poses(bench, tmp_path, mon
         assert pushed["nodes"] == [20 + port]
         code, out, told = made.run("site", "check", str(site), port=port)
         assert (code, out) == (0, "1 board is as the site says\n")
-        assert f"{6 - (port > 0)} beacons have no board on this port" in told
+        assert f"{8 - (port > 0)} beacons have no board on this port" in told
     made.lines("nodes", "set", "23", "amplitude", "8", port=3)
     code, out, _ = made.run("site", "check", str(site), "--json", port=3)
     assert code == 3
