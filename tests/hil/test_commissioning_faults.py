@@ -75,7 +75,7 @@ def test_what_cannot_be_saved_is_not_set(bench, tmp_path):
         ["site", "push", str(louder)],
     ):
         code, _, told = made.run(*words)
-        assert (code, "with --pause; nothing was changed" in told) == (3, True), words
+        assert (code, "theirs off with --pause, " in told, "; nothing was changed" in told) == (3, True, True), words
     assert {line["node"] for line in made.lines("nodes", "boards")} == {*numbers.values(), 4}
     assert parameter(made, other, "name") == [0, 0, 0, 0]
     assert made.lines("site", "check", str(site)) == []

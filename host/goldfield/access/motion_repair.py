@@ -50,8 +50,8 @@ class MotionRepair:
         """Return the fields of the next cycle as those of its middle; as they came before the third cycle in a row.
 
         They also stay as they are where one of them changes more abruptly than motion explains. How a field changes
-        that the two cycles before do not have is not known and stays in all of them: a sensor that reports the
-        strongest beacons takes in a weak one each second as it walks, and the others go on.
+        that the two cycles before do not have, or not on the same axes, is not known and stays in all of them: a sensor
+        that reports the strongest beacons takes in a weak one each second as it walks, and the others go on.
         """
         if not self._plain or not fields.beacons:
             self._past.clear()
@@ -61,10 +61,13 @@ class MotionRepair:
         self._past.append(fields)
         if len(self._past) < 3:
             return fields
-        known = np.array([all(name in one.beacons for one in self._past) for name in fields.beacons])
-        oldest, before, now = (_rows(one, fields.beacons) for one in self._past)
-        change = np.where(known[:, None], now - before, 0.0)
-        bend = np.where(known[:, None], now - 2.0 * before + oldest, 0.0)
+        past = np.array([_rows(one, fields.beacons) for one in self._past])
+        known = (np.isfinite(past) == np.isfinite(fields.field_T)).all(axis=(0, 2))
+        if not known.any():
+            return fields
+        oldest, before, now = np.where(known[:, None], np.nan_to_num(past), 0.0)
+        change = now - before
+        bend = change - (before - oldest)
         limit = ABRUPT * np.linalg.norm(now, axis=1) + ABRUPT_SIGMAS * np.where(
             np.isfinite(fields.sigma_T), fields.sigma_T, 0.0
         )
@@ -74,14 +77,8 @@ class MotionRepair:
         return replace(fields, field_T=fields.field_T - by_slope @ (change + 0.5 * bend) - by_bend @ bend)
 
     def _follows(self, fields: Fields, before: Fields) -> bool:
-        """Tell whether one is the next cycle after another, with some of its beacons, and with the same axes."""
-        cycles = (fields.time_s - before.time_s) / self._site.cycle_s
-        axes, axes_before = (np.isfinite(one.field_T).any(axis=0) for one in (fields, before))
-        return (
-            abs(cycles - 1.0) < STEP_TOLERANCE
-            and not set(fields.beacons).isdisjoint(before.beacons)
-            and bool((axes == axes_before).all())
-        )
+        """Tell whether one is the next cycle after another."""
+        return abs((fields.time_s - before.time_s) / self._site.cycle_s - 1.0) < STEP_TOLERANCE
 
     def _leaks_of(self, beacons: tuple[str, ...]) -> tuple[FloatArray, FloatArray]:
         """Return what slopes and bends of all fields, a cycle and a squared cycle, do to each, shape (n, n) both."""
@@ -95,12 +92,6 @@ class MotionRepair:
 
 
 def _rows(fields: Fields, beacons: tuple[str, ...]) -> FloatArray:
-    """Return the fields of these beacons, shape (n, 3); 0 for what was not measured."""
-    if fields.beacons == beacons:
-        return np.nan_to_num(fields.field_T)
-    place = {name: row for row, name in enumerate(fields.beacons)}
-    rows = np.zeros((len(beacons), 3))
-    for row, name in enumerate(beacons):
-        if name in place:
-            rows[row] = np.nan_to_num(fields.field_T[place[name]])
-    return rows
+    """Return the fields of these beacons, shape (n, 3); NaN for one that is not among them."""
+    rows = dict(zip(fields.beacons, fields.field_T, strict=True))
+    return np.array([rows.get(name, np.full(3, np.nan)) for name in beacons])

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from goldfield.cli.node_boards import meant
 from goldfield.cli.output import json_line
 from goldfield.errors import SystemFailure, UserError, counted, tell
-from goldfield.nodes.commissioning import Board, boards_of, driven
+from goldfield.nodes.commissioning import Board, boards_of, refuse_driven
 from goldfield.nodes.conversation import Conversation
 from goldfield.update.image_files import NAMES, Image, version_number
 from goldfield.update.over_link import NO_KEY, OLDER, REFUSALS, UNCONFIRMED, Outcome, State, Told, Updater
@@ -26,7 +26,7 @@ def flash(conversation: Conversation, arguments: argparse.Namespace, images: Seq
     """
     conversation.listen()
     boards = _chosen(boards_of(conversation), arguments, images)
-    _refuse_driven(conversation, boards, pause=arguments.pause)
+    refuse_driven(conversation, boards, pause=arguments.pause, why="which is off during an update")
     updater = Updater(conversation, shared=shared, forced=arguments.force, progress=tell)
     before = {board: conversation.roster.nodes[board.number].version or "0.0.0" for board in boards}
     printed = _Printed(arguments.json, before)
@@ -61,15 +61,6 @@ def _chosen(boards: Sequence[Board], arguments: argparse.Namespace, images: Sequ
         role = " or ".join(sorted(held)) if arguments.all else arguments.role
         raise SystemFailure(f"no {role} is on the link: see who is there with goldfield nodes")
     return chosen
-
-
-def _refuse_driven(conversation: Conversation, boards: Sequence[Board], *, pause: bool) -> None:
-    numbers = [] if pause else driven(conversation, boards)
-    if numbers:
-        raise SystemFailure(
-            f"{conversation.name}: node {numbers[0]} drives its coil, which is off during an update: let boards switch "
-            "theirs off with --pause, or stop them with goldfield nodes stop"
-        )
 
 
 TRIAL_S = 5.0

@@ -95,7 +95,7 @@ def _plane(model: FieldModel, middle: FloatArray, offset: FloatArray) -> Mirror 
     Its normal is where the spread of the places, over their extent, less that of the axes is least: of coils on a line,
     which lie in many planes, the axes tell which it is.
     """
-    extent = max(float(np.linalg.svd(offset, compute_uv=False)[0]), np.finfo(float).tiny)
+    extent = max(float(np.linalg.norm(offset, 2)), np.finfo(float).tiny)  # the largest singular value
     axis = model.moment_A_m2 / np.linalg.norm(model.moment_A_m2, axis=1, keepdims=True)
     scaled = offset / extent
     normal = np.linalg.eigh(scaled.T @ scaled - axis.T @ axis / len(axis))[1][:, 0]

@@ -33,6 +33,8 @@ RESTART_S = 5.0
 """A board's first heartbeat after a reset is waited for so long, s."""
 SAVED_AT_A_TIME = 24
 """Boards that save at a time."""
+SAVES = "and its processor stands still for each word that it saves"
+"""Why a coil cannot be driven while its board saves."""
 LARGEST_NUMBER = 4095
 ARMED, GROUP = PARAMETERS["armed"].first, PARAMETERS["group"].first
 OWN = (
@@ -198,29 +200,25 @@ def renumber(conversation: Conversation, numbers: Mapping[str, int]) -> None:
     )
 
 
-def driven(conversation: Conversation, boards: Collection[Board]) -> list[int]:
-    """Return the numbers of the boards that have told that they drive their coils."""
-    nodes = conversation.roster.nodes
-    numbers = [board.number for board in boards if board.number in nodes]
-    return [number for number in numbers if any(drive.enabled for drive in nodes[number].drives.values())]
+def refuse_driven(conversation: Conversation, boards: Collection[Board], *, pause: bool, why: str = SAVES) -> None:
+    """Refuse boards that have told that they drive their coils, before anything is changed, unless they may pause.
 
-
-def refuse_driven(conversation: Conversation, boards: Collection[Board], *, pause: bool) -> None:
-    """Refuse boards that could not save what is about to be set, as they drive their coils and may not pause.
-
-    They refuse the save themselves, but then some have what was set, until their next reset, and others do not.
+    They would refuse to save themselves, but then some have what was set, until their next reset, and others do not.
+    ``why`` says why a coil cannot be driven meanwhile.
 
     Raises
     ------
     SystemFailure
         If there is one, and ``pause`` is False.
     """
-    numbers = [] if pause else driven(conversation, boards)
-    if numbers:
-        raise SystemFailure(
-            f"{conversation.name}: node {numbers[0]} drives its coil, and its processor stands still for each word "
-            "that it saves: let boards switch theirs off meanwhile with --pause; nothing was changed"
-        )
+    nodes = conversation.roster.nodes
+    for board in boards:
+        driven = board.number in nodes and any(drive.enabled for drive in nodes[board.number].drives.values())
+        if driven and not pause:
+            raise SystemFailure(
+                f"{conversation.name}: node {board.number} drives its coil, {why}: let boards switch theirs off with "
+                "--pause, or stop them with goldfield nodes stop; nothing was changed"
+            )
 
 
 def save_all(conversation: Conversation, boards: Mapping[int, str], *, pause: bool = False) -> int:

@@ -20,7 +20,7 @@ from goldfield_protocol.parameters import PARAMETERS, Kind, find_id, label_of
 
 ONE_CODE, PULSE, SQUARE, ROTATING, SUPERPOSED = range(5)
 """Values of the parameter ``waveform``."""
-SHARED = "shares its number {number} with another one: goldfield nodes assign gives each its own"
+NOT_ALONE = "shares its number {number} with another one: goldfield nodes assign gives each its own"
 """What is said of a board that cannot be set alone."""
 OF_ITS_OWN = ("pose", "pose_blocks")
 """What a sensor that computes poses has, and the site does not say."""
@@ -184,7 +184,7 @@ def wanted_of(site: Site, boards: Sequence[Board], strongest: int | None = None)
     if of_sensor is not None:
         for board in boards:
             if board.role in ("sensor", "anchor") and board.unique_id not in owners and _is_shared(board, boards):
-                missing.append(f"sensor: board {board.unique_id} {SHARED.format(number=board.number)}")
+                missing.append(f"sensor: board {board.unique_id} {NOT_ALONE.format(number=board.number)}")
             elif board.role in ("sensor", "anchor"):
                 wanted.append(Wanted("sensor", board, of_sensor))
     return wanted, missing
@@ -205,7 +205,7 @@ def _board_of(beacon: Beacon, name: str, boards: Sequence[Board]) -> tuple[Board
     if not found:
         return None, f"no board has {what}{lacks}"
     if _is_shared(found[0], boards):
-        return None, f"the board with {what} {SHARED.format(number=found[0].number)}"
+        return None, f"the board with {what} {NOT_ALONE.format(number=found[0].number)}"
     if found[0].role not in ("beacon", "anchor"):
         return None, f"the board with {what} is a {found[0].role}"
     return found[0], ""

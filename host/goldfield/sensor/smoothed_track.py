@@ -30,8 +30,8 @@ class Smoother(Protocol):
 class SmoothedTrack:
     """Follows one sensor as `BlockTrack` does; its poses are late, and more accurate.
 
-    Between the ends of two successive blocks a pose is interpolated; where more blocks
-    were lost than the smoother bridges there are none.
+    Between the ends of two successive blocks a pose is interpolated; where more blocks were lost than the smoother
+    bridges there are none.
 
     Parameters
     ----------

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import crcmod.predefined
 import numpy as np
 import pytest
@@ -35,14 +33,6 @@ CAUSES = [
 CHIP = round(chip_seconds(0) * 1e12)
 MASTER = {"node": 1, "code": 2, "amplitude": 8.0, "sync_master": 1}
 FOLLOWER = {"node": 2, "code": 1018, "amplitude": 8.0}
-
-
-@pytest.fixture
-def boards() -> Iterator[list[Board]]:
-    made: list[Board] = []
-    yield made
-    for board in made:
-        board.close()
 
 
 def master(boards: list[Board], coil: Coil | None = None, **options: object) -> Board:

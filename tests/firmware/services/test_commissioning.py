@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -35,14 +35,6 @@ BLOCK = round(31 * chip_seconds(0) * 1e12)
 UNIQUE = bytes(range(12))
 NAMED = int.from_bytes(UNIQUE[:6], "little") ^ int.from_bytes(UNIQUE[6:], "little")
 FOR_NODE_9 = {"node": 9, "code": 2, "sync_master": 1}
-
-
-@pytest.fixture
-def boards() -> Iterator[list[Board]]:
-    made: list[Board] = []
-    yield made
-    for board in made:
-        board.close()
 
 
 def made(boards: list[Board], parameters: Mapping[str, Any] | None = None) -> Board:

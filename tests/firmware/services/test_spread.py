@@ -4,7 +4,6 @@ once what a host must not learn late. Times are those at which CAN is given the 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
@@ -28,14 +27,6 @@ from tests.firmware.host_rig import (
 
 BLOCK_CHIPS, BLOCKS = 31, 33
 CHIP_PS = chip_seconds(0.0) * 1e12
-
-
-@pytest.fixture
-def boards() -> Iterator[list[Board]]:
-    made: list[Board] = []
-    yield made
-    for board in made:
-        board.close()
 
 
 def driving(boards: list[Board], node: int, power_on: int = 0, **parameters: float) -> Board:

@@ -110,6 +110,12 @@ def test_what_does_not_follow_or_jumps_is_left_as_it_came():
     assert changed(epochs[:4] + epochs[5:]) == [False, False, True, True, False, False] + [True] * 5
     less = replace(epochs[4], beacons=IDS[1:], field_T=epochs[4].field_T[1:], sigma_T=epochs[4].sigma_T[1:])
     assert changed([*epochs[:4], less, *epochs[5:8]]) == [False] * 2 + [True] * 6
+    lost = epochs[4].field_T.copy()
+    lost[2] = np.nan
+    assert changed([*epochs[:4], replace(epochs[4], field_T=lost), *epochs[5:8]]) == [False] * 2 + [True] * 6
+    flat = np.where([True, True, False], epochs[4].field_T, np.nan)
+    other_axes = changed([*epochs[:4], replace(epochs[4], field_T=flat), *epochs[5:9]])
+    assert other_axes == [False] * 2 + [True] * 2 + [False] * 3 + [True] * 2
     elsewhere = replace(epochs[4], beacons=tuple(f"{name}'" for name in IDS))
     repair = MotionRepair(SITE)
     for fields in epochs[:4]:

@@ -116,11 +116,19 @@ def line(rng, tilt):
 
 
 @pytest.mark.parametrize(
-    ("make", "size", "middle"),
-    [(cluster, 1e-3, (0, 0, 0)), (cluster, 1e-2, (0, 0, 0)), (line, 0.0, (5, 0, 0)), (line, 1e-2, (5, 0, 0))],
+    ("make", "size", "middle", "least"),
+    [
+        (cluster, 1e-3, (0, 0, 0), 40),
+        (cluster, 1e-2, (0, 0, 0), 130),
+        (line, 0.0, (5, 0, 0), 0),
+        (line, 1e-2, (5, 0, 0), 10),
+    ],
 )
-def test_no_pose_is_ok_metres_off_where_another_fits_nearly_as_well(make, size, middle):
-    """A place that the chain of magnitudes led to, and that fitted, was taken: up to a third of these were wrong."""
+def test_no_pose_is_ok_metres_off_where_another_fits_nearly_as_well(make, size, middle, least):
+    """A place that the chain of magnitudes led to, and that fitted, was taken: up to a third of these were wrong.
+
+    Around a line that is exact all places of a circle fit: none may be told from the others.
+    """
     rng = np.random.default_rng(77)
     wrong, sound = 0, 0
     for _ in range(12):
@@ -137,3 +145,4 @@ def test_no_pose_is_ok_metres_off_where_another_fits_nearly_as_well(make, size, 
                 sound += 1
     print(f"{make.__name__} {size:g}: {sound} of 144 ok or unverified, {wrong} of them wrong")
     assert wrong == 0
+    assert sound >= least

@@ -240,6 +240,7 @@ def test_coils_nearly_around_a_point_leave_the_place_across_it(core, apart_m):
             wrong += pose.status in (OK, UNVERIFIED) and np.linalg.norm(position_of(pose) - place) > 1.0
     print(f"{apart_m:g} m apart: {sound} of 120 ok or unverified, {wrong} of them wrong")
     assert wrong == 0
+    assert sound > 30
 
 
 def test_mixed_axes_three_beacons_and_far_from_the_origin(core, tmp_path):
