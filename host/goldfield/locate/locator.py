@@ -125,8 +125,9 @@ class Locator:
         field, sigma = self._tables(epochs)
         heard = np.asarray(np.isfinite(field).any(axis=2))
         groups: dict[bytes, list[int]] = {}
+        flags, width = heard.tobytes(), heard.shape[1]
         for index in range(len(epochs)):
-            groups.setdefault(heard[index].tobytes(), []).append(index)
+            groups.setdefault(flags[index * width : (index + 1) * width], []).append(index)
         for key, members in groups.items():
             rows = np.flatnonzero(np.frombuffer(key, dtype=bool))
             constellation = self._all.subset(rows) if len(rows) >= LEAST_BEACONS else None

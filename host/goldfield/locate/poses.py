@@ -14,7 +14,7 @@ from goldfield.locate.fault_statistics import FaultStatistics, fault_statistics
 from goldfield.locate.fit import Fit, Measurements
 from goldfield.locate.integrity import Verdict
 from goldfield.locate.protection import protection_level
-from goldfield.locate.rotations import quaternion_of
+from goldfield.locate.rotations import quaternions_of
 from goldfield.locate.solutions import Solutions
 from goldfield.locate.uncertainty import second_order_covariance
 from goldfield.site import Site
@@ -173,7 +173,7 @@ def _built(
 ) -> list[Pose]:
     freedom = measurements.freedom
     residual = np.sqrt(np.where(freedom > 0, fit.cost / np.maximum(freedom, 1), 0.0)).tolist()
-    quaternions = [quaternion_of(rotation) for rotation in fit.rotation]
+    quaternions = quaternions_of(fit.rotation)
     normalised, protection_m = statistics.normalised().tolist(), figures.protection_m.tolist()
     return [
         Pose(

@@ -37,26 +37,37 @@ def turned(rotation: FloatArray, vector: FloatArray) -> FloatArray:
 def quaternion_of(rotation: FloatArray) -> FloatArray:
     """Return the unit quaternion (x, y, z, w) of one rotation, shape (3, 3), with w >= 0.
 
-    The largest of its numbers comes first, of a root, and divides the others (Shepperd 1978). SciPy's is ten times as
-    long about a single one.
-
     Examples
     --------
     >>> quaternion_of(np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])).round(6)
     array([0.      , 0.      , 0.707107, 0.707107])
     """
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rotation.tolist()
+    return np.array(_quaternion(rotation.tolist()))
+
+
+def quaternions_of(rotations: FloatArray) -> FloatArray:
+    """Return the unit quaternions, shape (e, 4), of rotations, shape (e, 3, 3): each as `quaternion_of` has it."""
+    return np.array([_quaternion(rotation) for rotation in rotations.tolist()])
+
+
+def _quaternion(rotation: list[list[float]]) -> tuple[float, float, float, float]:
+    """Return the quaternion of the three rows of a rotation.
+
+    The largest of its numbers comes first, of a root, and divides the others (Shepperd 1978). SciPy's is ten times as
+    long about a single one.
+    """
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rotation
     largest = max(xx, yy, zz, xx + yy + zz)
     if largest == xx:
-        found = (1.0 + xx - yy - zz, yx + xy, xz + zx, zy - yz)
+        x, y, z, w = 1.0 + xx - yy - zz, yx + xy, xz + zx, zy - yz
     elif largest == yy:
-        found = (yx + xy, 1.0 - xx + yy - zz, zy + yz, xz - zx)
+        x, y, z, w = yx + xy, 1.0 - xx + yy - zz, zy + yz, xz - zx
     elif largest == zz:
-        found = (xz + zx, zy + yz, 1.0 - xx - yy + zz, yx - xy)
+        x, y, z, w = xz + zx, zy + yz, 1.0 - xx - yy + zz, yx - xy
     else:
-        found = (zy - yz, xz - zx, yx - xy, 1.0 + xx + yy + zz)
-    length = math.copysign(math.hypot(*found), found[3])
-    return np.array([value / length for value in found])
+        x, y, z, w = zy - yz, xz - zx, yx - xy, 1.0 + xx + yy + zz
+    length = math.copysign(math.hypot(x, y, z, w), w)
+    return x / length, y / length, z / length, w / length
 
 
 def matrix_of(quaternion_xyzw: FloatArray) -> FloatArray:
