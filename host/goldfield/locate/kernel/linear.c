@@ -7,6 +7,9 @@
 /* Part of the matrix's norm that an element off the diagonal may keep. */
 #define ROUNDING 1e-17
 
+/* Tangent of a turn whose cosine is 1 but for rounding: no root is taken for it. */
+#define SMALL_TURN 1e-9
+
 /* No root is taken, which would wait for the one before: the product of each element and its pivot is kept beside it
  * until the row is done. */
 static inline bool factor(size_t n, const double a[][6], double l[][6]) {
@@ -117,16 +120,33 @@ static inline void eigen(size_t n, double a[][6], double v[][6]) {
                     continue;
                 }
                 turned = true;
-                const double ratio = (a[q][q] - a[p][p]) / (2.0 * a[p][q]);
-                const double tangent = copysign(1.0, ratio) / (fabs(ratio) + sqrt(ratio * ratio + 1.0));
-                const double cosine = 1.0 / sqrt(tangent * tangent + 1.0);
+                const double apart = a[q][q] - a[p][p];
+                double tangent;
+                double cosine = 1.0;
+                if (fabs(a[p][q]) < SMALL_TURN * fabs(apart)) {
+                    tangent = a[p][q] / apart;
+                } else {
+                    const double ratio = apart / (2.0 * a[p][q]);
+                    tangent = copysign(1.0, ratio) / (fabs(ratio) + sqrt(ratio * ratio + 1.0));
+                    cosine = 1.0 / sqrt(tangent * tangent + 1.0);
+                }
                 const double sine = tangent * cosine;
-                for (size_t i = 0; i < n; ++i) {
+                const double moved = tangent * a[p][q];
+                a[p][p] -= moved;
+                a[q][q] += moved;
+                a[p][q] = 0.0;
+                /* Only what stands above the diagonal is kept. */
+                for (size_t i = 0; i < p; ++i) {
                     rotate(&a[i][p], &a[i][q], cosine, sine);
-                    rotate(&v[i][p], &v[i][q], cosine, sine);
+                }
+                for (size_t i = p + 1; i < q; ++i) {
+                    rotate(&a[p][i], &a[i][q], cosine, sine);
+                }
+                for (size_t i = q + 1; i < n; ++i) {
+                    rotate(&a[p][i], &a[q][i], cosine, sine);
                 }
                 for (size_t i = 0; i < n; ++i) {
-                    rotate(&a[p][i], &a[q][i], cosine, sine);
+                    rotate(&v[i][p], &v[i][q], cosine, sine);
                 }
             }
         }
