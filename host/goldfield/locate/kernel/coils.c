@@ -11,6 +11,17 @@
 /* Relative difference of the two means that one more step turns into rounding. */
 #define NEARLY_EQUAL 1e-4
 
+/* A function that is compiled a second time, for processors that work on four numbers at once; which of the two runs is
+ * chosen as the library is loaded. Neither fuses or reorders operations, so that both compute the same to the last bit.
+ * What such a function calls has to be compiled into it, or it would gain nothing. */
+#if defined(__x86_64__) && defined(__GLIBC__) && !defined(__clang__)
+#define WIDE         __attribute__((target_clones("avx2", "default")))
+#define PART_OF_WIDE static inline __attribute__((always_inline))
+#else
+#define WIDE
+#define PART_OF_WIDE static inline
+#endif
+
 /* Where a point is beside each coil, and what Gauss's mean starts from. */
 typedef struct {
     double radial[3][GF_MOST_COILS]; /* From the coil's axis to the point. */
@@ -25,7 +36,7 @@ typedef struct {
     double tau[GF_MOST_COILS]; /* Sum of 2^k c_k^2, from which the integral of the second kind follows. */
 } gf_cylinders_t;
 
-static void enter_cylinders(const gf_coils_t *coils, const double position_m[3], gf_cylinders_t *at) {
+PART_OF_WIDE void enter_cylinders(const gf_coils_t *coils, const double position_m[3], gf_cylinders_t *at) {
     const size_t n = coils->count;
     for (size_t i = 0; i < n; ++i) {
         const double x = position_m[0] - coils->centre_m[0][i];
@@ -60,7 +71,7 @@ static void enter_cylinders(const gf_coils_t *coils, const double position_m[3],
 }
 
 /* Gauss's arithmetic-geometric mean of all coils at once: as many steps as the worst needs. */
-static void converge_means(size_t n, gf_cylinders_t *at) {
+PART_OF_WIDE void converge_means(size_t n, gf_cylinders_t *at) {
     double difference = 0.0;
     for (size_t i = 0; i < n; ++i) {
         const double ratio = 1.0 - at->mean_b[i] / at->mean_a[i];
@@ -89,7 +100,7 @@ static void converge_means(size_t n, gf_cylinders_t *at) {
  *     d (a r' + r a') + s r r' + g I - (3 g + s rho^2) a a'.
  * f and g are means over a turn, and those follow from Gauss's mean of the greatest and the least distance to the
  * wire: goldfield/field/loop.py has the integrals; there the gradient is formed from all four derivatives. */
-void gf_sources(const gf_coils_t *coils, const double position_m[3], gf_sources_t *out) {
+WIDE void gf_sources(const gf_coils_t *coils, const double position_m[3], gf_sources_t *out) {
     const size_t n = coils->count;
     gf_cylinders_t cylinders;
     gf_cylinders_t *const at = &cylinders;
@@ -149,7 +160,7 @@ void gf_evaluate(const gf_coils_t *coils, size_t points, const double *position_
     }
 }
 
-void gf_components(const gf_coils_t *coils, const gf_pose_t *pose, const double *weight, gf_components_t *out) {
+WIDE void gf_components(const gf_coils_t *coils, const gf_pose_t *pose, const double *weight, gf_components_t *out) {
     gf_sources_t sources;
     gf_sources(coils, pose->position_m, &sources);
     for (size_t i = 0; i < coils->count; ++i) {
