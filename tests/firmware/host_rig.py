@@ -326,24 +326,28 @@ class Coil:
             return self.stray_A
         if board is None or not board.level.get(PIN_ENABLE) or time >= self.broken_from:
             return 0.0
-        positive, negative = (bool(board.level.get(pin)) for pin in PINS_BRIDGE[self.channel])
+        positive, negative = PINS_BRIDGE[self.channel]
+        sign = bool(board.level.get(positive)) - bool(board.level.get(negative))
         reference = board.analog[self.channel][-1][1] / 3.3 * 16.0
         extra = self.extra_A if time >= self.extra_from else 0.0
-        return (int(positive) - int(negative)) * (self.gain * reference + extra)
+        return sign * (self.gain * reference + extra)
 
 
 def beacon(
     coil: Coil, second: Coil | None = None, pins: Mapping[int, Callable[[int], float]] | None = None, **options: Any
 ) -> Board:
     """A beacon board with its coil, or its two; other analog inputs give ``pins[pin](time)`` or lie at mid-scale."""
-    others = pins or {}
     coils = [coil] if second is None else [coil, second]
+    # Most samples are of inputs that lie at mid-scale: they are answered first.
+    sources: dict[int, Callable[[int], float]] = {
+        pin: lambda time, each=each: 1.65 + 0.103125 * each.amperes(time)
+        for pin, each in zip(PIN_CURRENT, coils, strict=False)
+    }
+    sources.update(pins or {})
 
     def volts(pin: int, time: int) -> float:
-        if pin in others:
-            return others[pin](time)
-        channel = PIN_CURRENT.index(pin) if pin in PIN_CURRENT else len(coils)
-        return 1.65 + (0.103125 * coils[channel].amperes(time) if channel < len(coils) else 0.0)
+        source = sources.get(pin)
+        return 1.65 if source is None else source(time)
 
     board = Board(BEACON, volts=volts, **options)
     for channel, each in enumerate(coils):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,13 @@ ROOT = Path(__file__).parents[2]
 PACKAGES = {"goldfield": ROOT / "host", "goldfield_protocol": ROOT / "protocol", "hil_sim": ROOT}
 
 MODULES = {module: path for package, root in PACKAGES.items() for module, path in sources(root, package).items()}
-IMPORTS = [item for module, path in MODULES.items() for item in imports(module, path)]
+
+
+@cache
+def all_imports() -> list[Import]:
+    """Read the imports of all modules: once, and not while tests are collected, which every worker does."""
+    return [item for module, path in MODULES.items() for item in imports(module, path)]
+
 
 LEVELS = (
     ("errors",),
@@ -82,7 +89,7 @@ def forbidden(importer: tuple[str, ...], imported: tuple[str, ...], but: tuple[s
     return complaints(
         [
             item
-            for item in IMPORTS
+            for item in all_imports()
             if within(item.module, *importer) and not within(item.module, *but) and within(item.target, *imported)
         ]
     )
@@ -90,7 +97,7 @@ def forbidden(importer: tuple[str, ...], imported: tuple[str, ...], but: tuple[s
 
 def test_the_tree_was_read():
     assert {"goldfield.cli", "goldfield.locate.fit", "goldfield_protocol.messages", "hil_sim.rig.rig"} <= set(MODULES)
-    assert len(IMPORTS) > 500
+    assert len(all_imports()) > 500
 
 
 def test_every_part_of_goldfield_has_a_level():
@@ -122,13 +129,13 @@ def test_the_rule_of_layers_judges_both_ways(module, target, bad):
 
 
 def test_imports_of_goldfield_go_down():
-    assert complaints([item for item in IMPORTS if breaks_layers(item)]) == []
+    assert complaints([item for item in all_imports() if breaks_layers(item)]) == []
 
 
 def test_nothing_below_takes_from_the_front_door():
     """``from goldfield import site`` names a part; ``from goldfield import Pose`` would close a circle."""
     parts = {"goldfield.__version__", *(module for module in MODULES if within(module, "goldfield"))}
-    inside = [item for item in IMPORTS if part_of(item.module) not in (None, "cli")]
+    inside = [item for item in all_imports() if part_of(item.module) not in (None, "cli")]
     assert (
         complaints(
             [i for i in inside if i.target.count(".") <= 1 and within(i.target, "goldfield") and i.target not in parts]
@@ -158,11 +165,11 @@ def test_world_and_model_meet_in_the_papers_alone():
 
 
 def test_no_circle():
-    assert circles(graph(MODULES, IMPORTS)) == []
+    assert circles(graph(MODULES, all_imports())) == []
 
 
 def test_imports_for_typing_have_a_reason():
-    found = [item for item in IMPORTS if item.typing_only]
+    found = [item for item in all_imports() if item.typing_only]
     assert complaints([i for i in found if not within(i.target, TYPING_ONLY.get(i.module, "nothing"))]) == []
 
 
