@@ -35,7 +35,8 @@ static void stream_chip(sense_t *sense, uint32_t cycle, uint16_t code_chip, cons
 
 void sense_samples(sense_t *sense, uint32_t block, const hal_samples_t *samples, acquire_t *acquire) {
     const timing_t *const timing = sense->timing;
-    const bool locked = timing->clock.locked, late = source_late(&timing->source, block * HAL_BLOCK_CHIPS);
+    const bool locked = timing->clock.locked && !chip_clock_contested(&timing->clock);
+    const bool late = source_late(&timing->source, block * HAL_BLOCK_CHIPS);
     for (uint32_t i = 0; i < HAL_BLOCK_CHIPS; i++) {
         const uint32_t absolute = block * HAL_BLOCK_CHIPS + i;
         chip_clock_chip_t chip;

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from goldfield.errors import SystemFailure, UserError, counted
+from goldfield_protocol.parameters import Value, build_page, parse_page
 from hil_sim import clib
 from hil_sim.emulator import Emulator
 from hil_sim.rig import config as rig_config
@@ -485,10 +486,16 @@ class Rig:
         """Take the sensor's power, and give it back after a time; it may come back with other oscillators."""
         self.power_cycle(SENSOR, off_s, clock)
 
-    def power_cycle(self, board: int, off_s: float, clock: Clock | None = None) -> None:
-        """Take a board's power, and give it back after a time; it may come back with other oscillators."""
+    def power_cycle(self, board: int, off_s: float, clock: Clock | None = None, **parameters: Value) -> None:
+        """Take a board's power, and give it back after a time.
+
+        It may come back with other oscillators, or flashed anew with some parameters of other values.
+        """
         spec = replace(self._specs[board], power_on_ps=int(self._library.rig_now(self._rig)) + round(off_s * 1e12))
-        spec = replace(spec, cells=self._boards[board].cells())
+        page = spec.parameter_page
+        if parameters:
+            page = build_page({**parse_page(page), **parameters})
+        spec = replace(spec, parameter_page=page, cells=None if parameters else self._boards[board].cells())
         self._specs[board] = spec if clock is None else replace(spec, clock=clock)
         self._boards[board].destroy()
         self._boards[board] = self._slot(board, self._specs[board])

@@ -17,7 +17,7 @@ from hil_sim.world.magnet import Magnet
 from hil_sim.world.roaming import Roaming
 from hil_sim.world.sheet import Sheet
 from tests.campaign import links
-from tests.campaign.trial import HIGH_M, LOW_M, RATE_RAD_S, SPEED_M_S, Kind, Trial
+from tests.campaign.trial import FAULT_S, HIGH_M, LOW_M, RATE_RAD_S, SPEED_M_S, Kind, Trial
 
 AWAY_S = 1000.0
 """A board that is to stay dead gets its power back so much later, or when somebody gives it."""
@@ -181,7 +181,7 @@ def supply(share: float) -> Kind:
     return Kind("beacon", f"supply falls to {100 * share:g} %", begin, end)
 
 
-def dead(name: str, boards: Callable[[Trial], list[int]]) -> Kind:
+def dead(name: str, boards: Callable[[Trial], list[int]], lasts_s: float = FAULT_S) -> Kind:
     """Return the kind by which boards lose their power, and get it back."""
 
     def begin(trial: Trial) -> None:
@@ -193,7 +193,7 @@ def dead(name: str, boards: Callable[[Trial], list[int]]) -> Kind:
         for board in trial.notes["boards"]:
             trial.rig.power_cycle(board, float(trial.random.uniform(0.0, 0.02)))
 
-    return Kind("beacon", name, begin, end)
+    return Kind("beacon", name, begin, end, lasts_s=lasts_s)
 
 
 def reset(name: str, boards: Callable[[Trial], list[int]], off_s: float = 0.05) -> Kind:
@@ -243,6 +243,7 @@ BEACONS = [
     dead("two die", some(2)),
     dead("four die", some(4)),
     dead("the sync master dies", lambda trial: [trial.scenario.sync_master]),
+    dead("the sync master is dead for 30 s", lambda trial: [trial.scenario.sync_master], 30.0),
     dead("all die", lambda trial: list(range(1, 1 + trial.beacons))),
     reset("one is reset", some(1)),
     reset("the sync master is reset", lambda trial: [trial.scenario.sync_master]),
@@ -286,6 +287,39 @@ def second_master(name: str, ahead: int) -> Kind:
     return Kind("time", name, begin, quiet)
 
 
+def with_deputy(scenario: Scenario, at_s: float, until_s: float, random: np.random.Generator) -> Scenario:
+    """Let the second beacon be the sync master's deputy."""
+    first, second, *others = scenario.beacons
+    return replace(scenario, beacons=(first, replace(second, sync_rank=2), *others))
+
+
+def two_masters() -> Kind:
+    """Return the kind by which the sync master and its deputy start at once, the deputy with the rank of a master."""
+
+    def begin(trial: Trial) -> None:
+        off_s = float(trial.random.uniform(0.05, 0.15))
+        trial.rig.power_cycle(trial.scenario.sync_master, off_s)
+        trial.rig.power_cycle(2, off_s, sync_master=1)
+
+    return Kind("time", "two sync masters start at once", begin, plan=with_deputy, lasts_s=1.0, by_arrival=True)
+
+
+def time_of_its_own() -> Kind:
+    """Return the kind by which a beacon starts that hears nobody and nobody hears, and leads a time of its own."""
+
+    def begin(trial: Trial) -> None:
+        for fault in ("sync_wire_cut", "can_cut"):
+            trial.rig.fault(2, fault)
+        trial.rig.power_cycle(2, 0.05)
+
+    def end(trial: Trial) -> None:
+        for fault in ("sync_wire_cut", "can_cut"):
+            trial.rig.fault(2, fault, active=False)
+        trial.rig.power_cycle(2, 0.05)
+
+    return Kind("time", "a beacon has a time of its own, unheard", begin, end, with_deputy, by_arrival=True)
+
+
 def quiet(trial: Trial) -> None:
     """Let the link be sound again."""
     trial.link.spoil = lambda data: data
@@ -299,6 +333,8 @@ TIME = [
     Kind("time", "sensor is reset", lambda trial: trial.rig.power_cycle_sensor(0.05), lasts_s=0.1),
     Kind("time", "sensor has no power for 3 s", lambda trial: trial.rig.power_cycle_sensor(3.0)),
     second_master("a stranger numbers the cycles", 500),
+    two_masters(),
+    time_of_its_own(),
 ]
 
 # ---- Links ----

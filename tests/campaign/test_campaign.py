@@ -58,6 +58,12 @@ def test_what_breaks_is_told_and_is_over_when_it_is_mended(group, name, by, soon
     assert found.recovered_s is not None
 
 
+def test_a_master_that_returns_in_hold_over_makes_no_pose_wrong():
+    """Its coil drives by its new time before the others have given up the old one: of this seed a pose was wrong."""
+    found = outcome("beacon", "the sync master dies", 10)
+    assert (found.wrong, found.false_before, found.error) == (0, 0, "")
+
+
 def test_the_same_seed_makes_the_same_outcome():
     assert outcome("CAN", "a tenth is lost", 2) == outcome("CAN", "a tenth is lost", 2)
 

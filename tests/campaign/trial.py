@@ -66,6 +66,8 @@ class Kind:
         The host reads the sensor's serial port, not CAN.
     lasts_s : float
         How long it lasts.
+    by_arrival : bool
+        No number tells which cycle it was, as two masters drove the wire: the moment of its last message does, on CAN.
     """
 
     group: str
@@ -75,6 +77,7 @@ class Kind:
     plan: Callable[[Scenario, float, float, np.random.Generator], Scenario] | None = None
     serial: bool = False
     lasts_s: float = FAULT_S
+    by_arrival: bool = False
 
 
 @dataclass
@@ -224,7 +227,8 @@ class Trial:
         known = min(truth, key=lambda one: abs(one.cycle - epoch.pose.epoch))
         middle_s = known.time_s + (epoch.pose.epoch - known.cycle) * CYCLE_S
         arrived_s = came_s - TRANSFER_S - 0.5 * CYCLE_S
-        if not self.kind.serial and abs(middle_s - arrived_s) > LATE_CYCLES * CYCLE_S:
+        late = not self.kind.serial and abs(middle_s - arrived_s) > LATE_CYCLES * CYCLE_S
+        if late or self.kind.by_arrival:
             middle_s = arrived_s
         nearest_s = min((one.time_s for one in truth), key=lambda time_s: abs(time_s - middle_s))
         if abs(nearest_s - middle_s) < SNAP_S:

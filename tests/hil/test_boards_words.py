@@ -154,6 +154,21 @@ def test_the_master_is_dead_for_longer_than_hold_over(listen, name, off_s):
     assert [pose.status for pose in poses_of(sensor, 3)] == [Status.OK] * 3
 
 
+@pytest.mark.parametrize("name", ["prigge8", "prigge8can"])
+def test_a_master_that_returns_in_hold_over_is_told_in_the_cycle_that_it_spoils(listen, name):
+    """Its coil drives by a new time two cycles before the other boards have given up the old one."""
+    rig, _, sensor = listen(name)
+    poses_of(sensor, 8)
+    rig.power_cycle(1, 3.0)
+    poses = poses_of(sensor, 60)
+    (jump,) = [i for i in range(1, len(poses)) if poses[i].epoch < poses[i - 1].epoch]
+    assert {pose.status for pose in poses[: jump - 2]} == {Status.OK}
+    for pose in poses[jump - 2 : jump]:
+        assert pose.status is Status.INCONSISTENT
+        assert "the clock of sensor 100 is not locked" in pose.reason
+    assert poses[-1].status is Status.OK
+
+
 def test_a_recording_gives_the_same_verdicts(listen, tmp_path):
     rig, _, sensor = listen(recorder=CandumpWriter(tmp_path / "run.log"))
     live = poses_of(sensor, 12)

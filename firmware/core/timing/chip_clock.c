@@ -330,6 +330,11 @@ bool chip_clock_at(const chip_clock_t *clock, uint32_t chip, chip_clock_chip_t *
     return true;
 }
 
+bool chip_clock_contested(const chip_clock_t *clock) {
+    return clock->tracking && clock->candidate_edges > 0u && clock->cycle - clock->edge_cycle > 1u &&
+           clock->chip - clock->candidate_chip <= clock->config.chips;
+}
+
 void chip_clock_jump(chip_clock_t *clock, uint64_t edge, uint64_t period) {
     if (clock->config.follow) {
         set_period(clock, (int64_t)period);

@@ -9,7 +9,7 @@
  *   4. chip_clock_edge          for each edge of the wire; or chip_clock_mark and chip_clock_message for each message;
  *                               or chip_clock_jump and chip_clock_correct for an estimate (acquire.h).
  *   5. chip_clock_number_cycle  when the master tells the number of a cycle.
- *   6. chip_clock_at            when something that was measured in a chip is to be labelled.
+ *   6. chip_clock_at            when something that was measured in a chip is to be labelled, and chip_clock_contested.
  *   7. chip_clock_lead, chip_clock_yield  when a follower becomes the master, and when it follows again.
  * The owner drives nothing, and reports no cycle as synchronous, while `locked` is false.
  *
@@ -56,6 +56,11 @@
  * last edge, could have moved the phase by lock_ticks (n cycles move it by drift n^2 / 2), and
  * CHIP_CLOCK_HOLDOVER_CYCLES after the last edge in any case. A drift of d ppm/s that nothing showed before adds d t^2
  * / 2 microseconds in t seconds: 0.05 ppm/s make 2.5 us in the longest hold-over.
+ *
+ * Another master. A master that restarted has a new time, and its coil drives by it at once, while those who hold over
+ * still keep the old one: a code that is shifted against the others is taken for fields of theirs. So what is measured
+ * in hold-over counts as not locked for a cycle after each edge that does not fit (chip_clock_contested). While the own
+ * master's edges come, an edge that does not fit is a glitch, and costs nothing.
  *
  * Estimated error (chip_clock_quality). With the scatter s of the edges, the memory k and n cycles since the last edge,
  *   floor + 2 s + n 2 s / k + |drift| n^2 / 2 + (0.02 ppm/s) t^2 / 2
@@ -188,6 +193,11 @@ chip_clock_quality_t chip_clock_quality(const chip_clock_t *clock, uint32_t tick
 /* Look up what was planned for an absolute chip. Costs about 20 instructions. Returns false, with *planned untouched,
  * if the chip is not planned yet or is more than CHIP_CLOCK_HISTORY chips ago. */
 bool chip_clock_at(const chip_clock_t *clock, uint32_t chip, chip_clock_chip_t *planned);
+
+/* Returns whether an edge that does not fit came within the last cycle, and none of the own master in it or the one
+ * before: the owner then reports no cycle as synchronous, though the clock may be locked. Costs about 15 instructions.
+ */
+bool chip_clock_contested(const chip_clock_t *clock);
 
 /* ---- Instead of the wire: messages of the master. ---- */
 

@@ -177,6 +177,56 @@ def test_hold_over_keeps_the_frequency_and_ends_after_100_cycles(core):
     assert simulation.clock.edges_rejected == 0
 
 
+def test_a_master_that_restarted_contests_the_hold_over(core):
+    """From its first edge on, which the clock counts as rejected, until the clock has given up its lock."""
+    _, lib = core
+    edges, _ = edges_of(2e6, 20, 12)
+    moved, _ = edges_of(edges[-1] + 20.4 * N * NOMINAL, 60, 4)
+    simulation = Simulation(core)
+    simulation.run(12 * CYCLE_BLOCKS, edges)
+    first_edge, seen = moved[0], 0
+    while simulation.clock.locked:
+        before = simulation.now()
+        simulation.run(1, moved)
+        if simulation.clock.locked:
+            contested = lib.chip_clock_contested(simulation.clock)
+            assert contested == (simulation.now() > first_edge), (before - first_edge) / (N * NOMINAL)
+            seen += contested
+    assert 2 * CYCLE_BLOCKS - 1 <= seen <= 2 * CYCLE_BLOCKS + 1
+    assert simulation.clock.edges_rejected == 3
+    assert not lib.chip_clock_contested(simulation.clock)
+
+
+def test_a_glitch_contests_hold_over_for_a_cycle_and_nothing_else(core):
+    _, lib = core
+    edges, _ = edges_of(2e6, 20, 40)
+    simulation = Simulation(core)
+    simulation.run(12 * CYCLE_BLOCKS, sorted([*edges[:12], edges[8] + 3e6, edges[10] + 9e6]))
+    assert simulation.clock.edges_rejected == 2
+    assert not lib.chip_clock_contested(simulation.clock)
+    glitch, contested = edges[14] + 5e6, []
+    for _ in range(6 * CYCLE_BLOCKS):
+        simulation.run(1, [glitch])
+        if lib.chip_clock_contested(simulation.clock):
+            contested.append(simulation.block)
+    assert CYCLE_BLOCKS - 2 <= len(contested) <= CYCLE_BLOCKS + 1
+    assert contested == list(range(contested[0], contested[0] + len(contested)))
+    assert simulation.starts[(contested[0] - 1) * BLOCK] <= glitch < simulation.starts[contested[0] * BLOCK]
+    assert simulation.clock.locked
+
+
+def test_edges_of_a_second_master_contest_nothing_while_the_own_come(core):
+    _, lib = core
+    edges, _ = edges_of(5e6, 0.0, 24)
+    others, _ = edges_of(5e6 + 0.3 * N * NOMINAL, 15.0, 24)
+    simulation = Simulation(core)
+    simulation.run(8 * CYCLE_BLOCKS, edges)
+    for _ in range(12 * CYCLE_BLOCKS):
+        simulation.run(1, sorted(edges + others))
+        assert not lib.chip_clock_contested(simulation.clock)
+    assert simulation.clock.edges_rejected > 10
+
+
 def test_follows_a_master_that_restarted(core):
     edges, _ = edges_of(2e6, 20, 8)
     moved, period = edges_of(edges[-1] + 7_654_321.0, 90, 16)
