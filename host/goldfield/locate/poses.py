@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,11 @@ a linear model can be trusted."""
 WEAK_ATTITUDE_RAD = 0.5
 """A pose is weak, too, if the standard deviation of its attitude exceeds this, 29 degrees; the free turn of a sensor
 with one axis does not count."""
+
+
+HEARD = 1.0
+"""Energy over the noise, the sum of squares, that all beacons together must have at a pose, or it explains nothing of
+the fields: a fit that finds no place for them goes off to where there is none. Real poses have 30 and more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,9 +112,25 @@ def poses_of(epochs: Sequence[Fields], judged: Judged) -> list[Pose]:
             [epochs[e] for e in rows], judged.names, given, rival, statistics, others, [told[e] for e in rows], {}
         )
         alternatives.update(zip(rows, poses, strict=True))
-    return _built(
+    poses = _built(
         epochs, judged.names, judged.measurements, solutions.best, judged.statistics, figures, told, alternatives
     )
+    for e in _unheard(judged, np.flatnonzero(figures.weak)):
+        verdict = judged.verdicts.get(e)
+        reason = sentences.unheard(None if verdict is None else verdict.reason)
+        failed = Pose.failed(epochs[e], used=judged.names, reason=reason)
+        poses[e] = replace(failed, findings=() if verdict is None else verdict.findings)
+    return poses
+
+
+def _unheard(judged: Judged, weak: NDArray[np.intp]) -> list[int]:
+    """Return the epochs at whose pose no beacon would be heard: of the weak ones, as the attitude is unknown there."""
+    if not len(weak):
+        return []
+    modelled = judged.model.field(judged.solutions.best.position_m[weak])
+    given = judged.measurements.take(weak)
+    energy = np.where(given.measured.any(axis=2), ((modelled / given.noise_T[:, :, None]) ** 2).sum(axis=2), 0.0)
+    return [int(e) for e in weak[~(energy.sum(axis=1) > HEARD)]]
 
 
 def _figures(

@@ -26,6 +26,8 @@ NOISE = "the fields are nothing but noise: check that the beacons are on and tha
 
 NO_FIT = "no pose was found from which a fit goes on"
 
+UNHEARD = "no place fits the fields better than one so far away that no beacon would be heard there"
+
 NOT_MENDED = (
     "no pose fits the fields, and leaving out one beacon or two does not mend it: check the site file and noise_T"
 )
@@ -35,6 +37,11 @@ NOT_EXPLAINED = (
 )
 
 NOT_CLEAR = "no pose fits the fields, and several explanations fit about alike: check noise_T and the site file"
+
+
+def unheard(explanation: str | None) -> str:
+    """Say that there is no place, and what explains the fields if anything does."""
+    return UNHEARD if explanation is None else f"{UNHEARD}; {explanation}"
 
 
 def strength(factor: float) -> str:
