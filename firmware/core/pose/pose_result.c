@@ -5,6 +5,7 @@
 
 #define WEAK_POSITION     0.25f /* Largest deviation of the position, over the distance to the nearest beacon. */
 #define WEAK_ATTITUDE_RAD 0.5f  /* Largest deviation of the attitude, rad; beyond either nothing linear holds. */
+#define HEARD             1.0f  /* Least energy over the noise of all fields at a pose, the sum of squares. */
 
 /* Returns whether the greatest eigenvalue of a symmetric matrix is beyond a limit: limit I - matrix then is not
  * positive definite (Sylvester). */
@@ -16,6 +17,18 @@ static bool beyond(const float m[3][3], float limit) {
     return !(a > 0.0f && minor > 0.0f && determinant > 0.0f);
 }
 
+/* Returns whether all beacons' fields at a position are nothing to the noise. */
+static bool unheard(const pose_problem_t *problem, const float position_m[3]) {
+    float energy = 0.0f;
+    for (uint32_t i = 0; i < problem->count; i++) {
+        const float sigma = problem->heard[i].sigma_uT;
+        float field[3];
+        loop_field(&problem->heard[i].loop, position_m, field);
+        energy += (field[0] * field[0] + field[1] * field[1] + field[2] * field[2]) / (sigma * sigma);
+    }
+    return !(energy > HEARD);
+}
+
 static void judge(const pose_problem_t *problem, const pose_fit_t *fit, pose_reason_t wrong, bool contested,
                   pose_t *pose) {
     const float near2 = pose_problem_nearest2(problem, fit->position_m);
@@ -24,6 +37,10 @@ static void judge(const pose_problem_t *problem, const pose_fit_t *fit, pose_rea
     const bool unsafe = !(pose->protection_m <= problem->alert_limit_m);
     if (wrong == POSE_REASON_NONE && !pose_problem_inside(problem, fit->position_m)) {
         wrong = POSE_REASON_HALF_SPACE;
+    }
+    if (weak && unheard(problem, fit->position_m)) { /* The attitude is unknown there: all others are spared. */
+        pose_fail(pose, wrong != POSE_REASON_NONE ? wrong : POSE_REASON_NO_POSE);
+        return;
     }
     pose->status = wrong != POSE_REASON_NONE ? POSE_INCONSISTENT
                    : contested               ? POSE_AMBIGUOUS
