@@ -295,6 +295,11 @@ class Mains:
     harmonics: tuple[float, ...]
     phase_rad: float
 
+    @property
+    def hum_T(self) -> float:
+        """Root mean square over time and axes."""
+        return float(np.linalg.norm(self.amplitude_T) * np.linalg.norm(self.harmonics) / math.sqrt(6.0))
+
 
 @dataclass(frozen=True)
 class Impulses:

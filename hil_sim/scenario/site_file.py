@@ -15,6 +15,9 @@ from hil_sim.scenario.parts import CHIP_PERIOD_S, Beacon
 from hil_sim.scenario.scenario import Scenario
 from hil_sim.world.path import CoilGeometry
 
+AUDIBLE_HUM = 0.1
+"""Least hum over the noise of a sample that is told: one below adds less than 1 % to what cycles leave unexplained."""
+
 EXACT_MATRIX = 1e-12
 """Largest element by which a matrix may differ from the identity and is still not written."""
 
@@ -62,11 +65,19 @@ def _text(
     if scenario.half_space is not None:
         point, normal = _toml(scenario.half_space.point), _toml(scenario.half_space.normal)
         lines.append(f"half_space = {{ point = {point}, normal = {normal} }}")
-    lines += ["", "[sensor]", f"noise_T = {scenario.sensor.sample_noise_T!r}", *sensor, "", "[survey]"]
+    lines += ["", "[sensor]", f"noise_T = {scenario.sensor.sample_noise_T!r}", *_hum(scenario), *sensor, "", "[survey]"]
     lines += [f"{key} = {value!r}" for key, value in zip(SURVEY_LIMITS, deviations, strict=True)]
     for beacon, current_A in zip(scenario.beacons, currents_A, strict=True):
         lines += _beacon(beacon, current_A, scenario)
     return "\n".join(lines) + "\n"
+
+
+def _hum(scenario: Scenario) -> list[str]:
+    """Return what the site says of the mains; nothing of a hum that the noise hides."""
+    mains = scenario.ambient.mains
+    if mains is None or mains.hum_T < AUDIBLE_HUM * scenario.sensor.sample_noise_T:
+        return []
+    return [f"hum_T = {float(f'{mains.hum_T:.3g}')!r}", f"hum_Hz = {mains.frequency_Hz!r}"]
 
 
 def axis_deviations(scenario: Scenario) -> tuple[float, float]:

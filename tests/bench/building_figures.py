@@ -43,7 +43,7 @@ NINETY_NINE = 11.345
 """What chi square of three degrees of freedom exceeds in one of 100 cases."""
 
 
-def building(beacons: int, metres: float, height_m: float) -> str:
+def building(beacons: int, metres: float, height_m: float, seed: int = 1) -> str:
     """Return the text of a scenario: beacons on a lattice, balanced codes first, a sensor that walks among them."""
     text = (ROOT / "hil_sim/scenarios/prigge8.toml").read_text(encoding="utf-8")
     text = text[: text.index("[[beacon]]")].replace('name = "prigge8"', 'name = "building"')
@@ -52,7 +52,7 @@ def building(beacons: int, metres: float, height_m: float) -> str:
     columns = int(np.ceil(np.sqrt(1.6 * beacons)))
     rows = int(np.ceil(beacons / columns))
     half_space = f"half_space = {{ point = [0.0, 0.0, {height_m}], normal = [0.0, 0.0, -1.0] }}\n"
-    text = text.replace("seed = 1\n", "seed = 1\n" + half_space, 1)
+    text = text.replace("seed = 1\n", f"seed = {seed}\n" + half_space, 1)
     text = text[: text.index("[motion]")] + walk(metres, columns, rows) + text[text.index("[coil]") :]
     codes = usable_codes(10)[0]
     for i in range(beacons):
@@ -109,14 +109,15 @@ class Walked:
     processor_s: float = 0.0
 
 
-def walked(beacons: int, metres: float, height_m: float, bus: bool, directory: Path) -> tuple[Walked, float]:
+def walked(given: argparse.Namespace, directory: Path) -> tuple[Walked, float]:
     """Return what came of a walk, and what the boards took to start for a virtual second, s of the processors."""
+    beacons, metres = given.beacons, given.metres
     scenario_path, site_path = directory / "building.toml", directory / "site.toml"
-    scenario_path.write_text(building(beacons, metres, height_m), encoding="utf-8")
+    scenario_path.write_text(building(beacons, metres, given.height, given.seed), encoding="utf-8")
     scenario = load_scenario(str(scenario_path))
     site_path.write_text(site_toml(scenario), encoding="utf-8")
     rig = Rig(scenario, "host")
-    for board in range(2, 1 if bus else 1 + beacons):
+    for board in range(2, 1 if given.bus else 1 + beacons):
         rig.fault(board, "can_cut")
     begin = time.process_time()
     rig.advance(BOOTED_S)
@@ -161,7 +162,8 @@ def show(found: Walked, boot_s: float, height_m: float) -> None:
     steps = [len(b - a) for (_, a), (_, b) in pairwise(found.poses)]
     gaps = sum(max(0, b.epoch - a.epoch - 1) for (a, _), (b, _) in pairwise(found.poses))
     everyone = len({name for _, names in found.poses for name in names})
-    print(f"ceiling at {height_m} m: {total} epochs, {gaps} missing: {dict(status)}")
+    alarms = sum(1 for pose, _ in found.poses if pose.findings)
+    print(f"ceiling at {height_m} m: {total} epochs, {gaps} missing: {dict(status)}; a beacon is blamed in {alarms}")
     for (told, reason), epochs in refused(found).items():
         print(f"        {told} at {', '.join(map(str, epochs))}: {reason}")
     print(
@@ -187,10 +189,11 @@ def main() -> None:
     parser.add_argument("--beacons", type=int, default=1000)
     parser.add_argument("--metres", type=float, default=200.0, help="how far the sensor walks (default 200)")
     parser.add_argument("--height", type=float, default=CEILING_M, help="of the ceiling, m (default 2.7)")
+    parser.add_argument("--seed", type=int, default=1, help="of the noise (default 1)")
     parser.add_argument("--bus", action="store_true", help="all beacons are on the CAN bus")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as directory:
-        found, boot_s = walked(arguments.beacons, arguments.metres, arguments.height, arguments.bus, Path(directory))
+        found, boot_s = walked(arguments, Path(directory))
         show(found, boot_s, arguments.height)
 
 

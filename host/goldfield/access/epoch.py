@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from goldfield.access.cdma import Separation, Separator
+from goldfield.access.hum import hum_deviations
 from goldfield.access.users import CodeUsers
 from goldfield.link.reports import FIELD_LIMIT_T, OFFSET_LIMIT_T, Report
 from goldfield.site import Site
@@ -38,6 +39,7 @@ class EpochSeparator:
     def __init__(self, site: Site) -> None:
         self._site = site
         self._users = CodeUsers(site)
+        self._hum_T = hum_deviations(site)
         self._codes = self._users.codes
         drives = [site.beacons[self._users.first(code)].drive for code in self._codes]
         self._tau_chips = [drive.tau_s / site.chip_period_s for drive in drives]
@@ -51,7 +53,8 @@ class EpochSeparator:
         of the others by what it may leak at most. Codes that no beacon of the site has are separated with the others.
 
         A lost field or one out of range widens the sigma of the others by what it may leak into them; lost and
-        saturated chips by the part of the offset that no longer cancels. Fields that did not arrive are left out.
+        saturated chips by the part of the offset that no longer cancels; and the hum of the mains that of each code by
+        its own part. Fields that did not arrive are left out.
         """
         site = self._site
         strangers = tuple(sorted(report.correlation_T.keys() - set(self._codes))) if strongest else ()
@@ -83,7 +86,7 @@ class EpochSeparator:
             time_s=self._time(report),
             beacons=tuple(site.beacons[index].id for index in beacons),
             field_T=separation.field_T[rows],
-            sigma_T=separation.sigma_T[rows],
+            sigma_T=np.hypot(separation.sigma_T[rows], self._hum_T[beacons]),
         )
 
     def _heard(self, field_T: FloatArray) -> tuple[list[int], list[int]]:

@@ -40,6 +40,7 @@ def site_text(site: Site) -> str:
         head.append(f"half_space = {{ point = {point}, normal = {normal} }}")
     sensor = site.sensor
     head += ["", "[sensor]", f"noise_T = {sensor.noise_T!r}"]
+    head += [f"hum_T = {sensor.hum_T!r}", f"hum_Hz = {sensor.hum_Hz!r}"] if sensor.hum_T else []
     head += [f"gain_sd = {sensor.gain_sd!r}", f"axis_sd_rad = {sensor.axis_sd_rad!r}"]
     tables = [_beacon(beacon, code) for beacon, code in zip(site.beacons, codes, strict=True)]
     return "\n".join([*head, "", *tables])

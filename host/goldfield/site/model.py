@@ -45,6 +45,10 @@ class HalfSpace:
         return bool((position_m - self.point_m) @ self.normal >= 0.0)
 
 
+USUAL_HUM_HZ = 50.0
+"""The mains of most countries."""
+
+
 @dataclass(frozen=True, eq=False)
 class SensorSite:
     """The sensor as the site file describes it.
@@ -65,6 +69,10 @@ class SensorSite:
         Noise of each axis over ``noise_T``. None: alike.
     lever_m : ndarray, shape (k, 3), or None
         Where each axis reads, from the sensor's reference point, in its frame. None: all at that point.
+    hum_T : float
+        Root mean square of the mains' hum in the samples of an axis, over time and axes.
+    hum_Hz : float
+        Frequency of the mains.
     """
 
     noise_T: float
@@ -73,6 +81,8 @@ class SensorSite:
     axes: FloatArray | None = None
     noise_ratio: FloatArray | None = None
     lever_m: FloatArray | None = None
+    hum_T: float = 0.0
+    hum_Hz: float = USUAL_HUM_HZ
 
 
 @dataclass(frozen=True)

@@ -50,6 +50,7 @@ RANGES = {
     "noise_T": Range(
         "T", 1e-16, 1e-3, (1e-15, 2e-5), {"milligauss": 1e-7, "gauss": 1e-4, "microtesla": 1e-6, "nanotesla": 1e-9}
     ),
+    "hum_Hz": Range("Hz", 1.0, 1e4, (16.0, 1000.0), {"kilohertz": 1e3}),
     "radius_m": Range("m", 1e-4, 100.0, (1e-3, 10.0), LENGTHS),
     "sides_m": Range("m", 1e-4, 100.0, (1e-3, 10.0), LENGTHS),
     "length_m": Range("m", 1e-5, 100.0, (1e-4, 10.0), LENGTHS),

@@ -20,6 +20,7 @@ from goldfield.site.metal_keys import BEACON_KEY, check_bodies, read_beacon_meta
 from goldfield.site.model import (
     ALERT_LIMIT_M,
     AMBIENT_GRADIENT_T_M,
+    USUAL_HUM_HZ,
     Beacon,
     HalfSpace,
     SensorSite,
@@ -50,7 +51,7 @@ def load(path: str | Path) -> Site:
     The table ``[sensor]`` describes the sensor:
 
     - ``noise_T``: standard deviation of one chip's sample on one axis, above 0, or a list of one for each axis;
-    - ``axes``, ``lever_m``, ``gain_sd``, ``axis_sd_rad``: optional, see `SensorSite`.
+    - ``hum_T``, ``hum_Hz``, ``axes``, ``lever_m``, ``gain_sd``, ``axis_sd_rad``: optional, see `SensorSite`.
 
     The optional table ``[survey]`` says how well position, axis and current of all beacons are known (`Survey`):
     ``position_sd_m``, ``axis_sd_rad``, ``current_sd``; the same keys in a ``[[beacon]]`` count for that one instead.
@@ -156,7 +157,10 @@ SENSOR_LIMITS = {"gain_sd": (0.5, ""), "axis_sd_rad": (0.5, " rad")}
 LEAST_DEVIATION = 1e-12
 """Least standard deviation but 0: the squares of much smaller ones leave the range of numbers."""
 
-SENSOR_KEYS = ("noise_T", "axes", "lever_m", *SENSOR_LIMITS)
+SENSOR_KEYS = ("noise_T", "hum_T", "hum_Hz", "axes", "lever_m", *SENSOR_LIMITS)
+
+MOST_HUM_T = 1e-4
+"""A hum as large as this is no site's: it is 141 uT at its peak, three times the earth's field."""
 
 LONGEST_LEVER_M = 0.3
 """The search takes all axes to be at one point and finds no pose where their levers are not small against the room."""
@@ -191,7 +195,16 @@ def _sensor(table: Table, doubts: list[str]) -> SensorSite:
         axes=axes,
         noise_ratio=noise_ratio,
         lever_m=_levers(table, 3 if axes is None else len(axes)) if "lever_m" in table else None,
+        hum_T=_hum(table),
+        hum_Hz=_positive(table, "hum_Hz", USUAL_HUM_HZ, doubts),
     )
+
+
+def _hum(table: Table) -> float:
+    hum_T = table.number("hum_T") if "hum_T" in table else 0.0
+    if not 0.0 <= hum_T < MOST_HUM_T:
+        raise table.error("hum_T", f"is {hum_T:g}; it is a root mean square, from 0 to below {MOST_HUM_T:g} T")
+    return hum_T
 
 
 def _levers(table: Table, axes: int) -> FloatArray | None:

@@ -4,8 +4,10 @@ A single epoch does not see a beacon that was moved by 2 cm; twenty epochs do. E
 fields what no pose explains. A beacon that is off by d has the field -G d more, G its gradient at the sensor, so that
 each epoch adds to a linear least squares for d: h = E'F'r and H = E'(F'SF)E with E = -R'G, over the last epochs, the
 poses of all of them free. sum(h)' sum(H)^-1 sum(h) is chi-square with three degrees of freedom if the
-beacon is where the site says; one that is only as exact as its survey is granted that. Another current gives the same
-for one unknown. The pose does not know of it, so a beacon that was left out of the pose is watched in the same way.
+beacon is where the site says; one that is only as exact as its survey is granted that. So is what the hum of the mains
+leaves in its field, which stays the same from cycle to cycle as no noise does (`goldfield.access.hum`). Another current
+gives the same for one unknown. The pose does not know of it, so a beacon that was left out of the pose is watched in
+the same way.
 What the last epochs deny, as after a single bad one, is not believed: with d from a longer time, d'Hd - 2 d'h of a
 shorter one is the cost of d beside that of no error. It falls with each epoch that has the error and rises with each
 that has it no more, so that an error is forgotten after one to three times as many good epochs as it takes to see it.
@@ -19,6 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from goldfield.access.hum import hum_deviations
 from goldfield.field import FieldModel
 from goldfield.locate.chances import chdtri
 from goldfield.site import Site
@@ -58,7 +61,8 @@ UNEXPLAINED_SHARE = 0.2
 """Nor do they if this part of its cost is left: the field is linear only near the place that the site gives."""
 
 NEIGHBOURS = 2.0
-"""Errors of the survey show at a beacon up to so much larger than its own, through the pose and its neighbours."""
+"""Errors of the survey, and what hum leaves, show at a beacon up to so much larger than its own, through the pose and
+its neighbours."""
 
 LINEAR_M = 0.05
 """Beyond such a shift the field is no longer linear in it, and is computed anew."""
@@ -73,7 +77,7 @@ FIXED = 0.3
 """A place is told if its standard deviation along the worst axis is below this part of the shift, or 2 cm."""
 
 
-NUMBERS = 18
+NUMBERS = 27
 """Numbers in the evidence of a beacon."""
 
 
@@ -123,6 +127,11 @@ class _Evidence:
         """Mean distance from the sensor, shape (..., n)."""
         return np.asarray(self.numbers[..., 17] / self.epochs)
 
+    @property
+    def place_by_field(self) -> FloatArray:
+        """What a field that is off by 1 T in each epoch adds to h, shape (..., n, 3, 3)."""
+        return self.numbers[..., 18:].reshape(*self.numbers.shape[:-1], 3, 3)
+
 
 class Witness:
     """Watches the beacons of a site by what a sensor's epochs leave unexplained.
@@ -160,6 +169,7 @@ class Witness:
         self._tolerance2_by_distance2 = np.array(
             [(0.5 * survey.axis_sd_rad) ** 2 + (survey.current_sd / 3.0) ** 2 for survey in surveys]
         )
+        self._hum2_T2 = (NEIGHBOURS * hum_deviations(site)) ** 2
         self._wait = 0
 
     @property
@@ -203,6 +213,7 @@ class Witness:
         told[:, 13] = (along * own).sum(axis=1)
         told[:, 14] = judgement.drop
         told[:, 15] = judgement.drop_freedom
+        told[:, 18:] = -through.reshape(-1, 9)
         numbers = np.zeros((len(self._row), NUMBERS))
         numbers[[self._row[name] for name in judgement.beacons]] = told
         numbers[:, 16] = 1.0
@@ -218,7 +229,7 @@ class Witness:
         """
         information = windows.place_information
         tolerance2 = self._granted_m2(windows.mean_distance_m)
-        weakened = information + tolerance2[..., None, None] * (information @ information)
+        weakened = information + tolerance2[..., None, None] * (information @ information) + self._by_hum(windows)
         trace = np.einsum("...kk", information)
         weakened += (LEAST_INFORMATION * trace + 1e-300)[..., None, None] * np.eye(3)
         place = windows.place
@@ -228,8 +239,8 @@ class Witness:
     def _costs(self, windows: _Evidence) -> tuple[FloatArray, FloatArray]:
         """Return what each beacon takes away from the cost of each window, plain and granted, shape (windows, n).
 
-        Granted is what is left of the plain one for a beacon that is only as exact as its survey. Both are 0 for an
-        error that the epochs of a shorter window deny.
+        Granted is what is left of the plain one for a beacon that is only as exact as its survey, beside the hum. Both
+        are 0 for an error that the epochs of a shorter window deny.
         """
         tolerance2 = self._granted_m2(windows.mean_distance_m)
         information = windows.place_information
@@ -238,7 +249,10 @@ class Witness:
         values = np.where(seen, values, 1.0)
         along = np.where(seen, np.einsum("wnck,wnc->wnk", vectors, windows.place), 0.0)
         plain = (along**2 / values).sum(axis=2)
-        granted = (along**2 / (values + tolerance2[:, :, None] * values**2)).sum(axis=2)
+        by_hum = vectors.swapaxes(2, 3) @ self._by_hum(windows) @ vectors
+        spread = np.where(seen[..., :, None] & seen[..., None, :], by_hum, 0.0)
+        spread += np.eye(3) * (values + tolerance2[:, :, None] * values**2)[..., None]
+        granted = (along * np.linalg.solve(spread, along[..., None])[..., 0]).sum(axis=2)
         shown, current = windows.current_information, windows.current
         plain = np.maximum(plain, np.where(shown > 0.0, current**2 / np.where(shown > 0.0, shown, 1.0), 0.0))
         shift = np.einsum("wnck,wnk->wnc", vectors, along / values)
@@ -248,6 +262,13 @@ class Witness:
         shorter = np.tri(len(self._windows), k=-1, dtype=bool)[:, :, None]
         denied = (shorter & (beside > limit) & (granted <= limit)).any(axis=1)
         return np.where(denied, 0.0, plain), np.where(denied, 0.0, granted)
+
+    def _by_hum(self, windows: _Evidence) -> FloatArray:
+        """Return the covariance of h by what the hum leaves in each beacon's field, shape (..., n, 3, 3)."""
+        if not self._hum2_T2.any():
+            return np.zeros((3, 3))
+        by_field = windows.place_by_field
+        return np.asarray(self._hum2_T2[:, None, None] * (by_field @ by_field.swapaxes(-1, -2)))
 
     def _suspect(self, windows: _Evidence, plain: FloatArray, granted: FloatArray) -> tuple[int, _Evidence] | None:
         """Return the row of the beacon that is not as the site says and the window that shows it best; None if none."""

@@ -80,6 +80,15 @@ def test_shared_codes_are_said_to_be_meant(tmp_path):
         scenario.load_scenario(str(path))
 
 
+def test_the_site_tells_of_a_hum_that_the_noise_does_not_hide(tmp_path):
+    """Its peaks are 10, 20 and 10 nT on the axes, and 0.3 of that thrice as fast: 10.4 nT in the mean of all."""
+    path, text = tmp_path / "hum.toml", scenario.find("prigge8").read_text()
+    for noise_T, told in (("1.0e-7", 1.04e-8), ("1.1e-7", 0.0)):
+        path.write_text(text.replace("noise_T = 2.0e-7", f"noise_T = {noise_T}"))
+        (tmp_path / "site.toml").write_text(scenario.site_toml(scenario.load_scenario(str(path))))
+        assert sites.load(tmp_path / "site.toml").sensor.hum_T == told
+
+
 def test_boards_of_slots_and_tones(tmp_path):
     slot = parse_page(scenario.parameter_page(scenario.load_scenario("slots8"), 8))
     assert (slot["waveform"], slot["slots"], slot["slot"]) == (1, 9, 7)

@@ -163,6 +163,8 @@ BAD = [
     ("noise_T = 2.0e-7", "noise_T = 2e-7\nmodel_error = 0", "site.toml:9: [sensor]: model_error is no", "[survey]"),
     ("noise_T = 2.0e-7", "noise_T = 2e-7\ngain_sd = 0.5", "site.toml:9: [sensor]: gain_sd is 0.5", "below 0.5"),
     ("noise_T = 2.0e-7", "noise_T = 2e-7\ngain_sd = -0.1", "site.toml:9: [sensor]: gain_sd is -0.1", "from 0"),
+    ("noise_T = 2.0e-7", "noise_T = 2e-7\nhum_T = 1e-4", "site.toml:9: [sensor]: hum_T is 0.0001", "below 0.0001 T"),
+    ("noise_T = 2.0e-7", "noise_T = 2e-7\nhum_T = -1e-9", "site.toml:9: [sensor]: hum_T is -1e-09", "from 0"),
     ("noise_T = 2.0e-7", "noise_T = 2e-7\naxis_sd_rad = 0.5", "site.toml:9: [sensor]: axis_sd_rad", "below 0.5 rad"),
     ("[sensor]", "[survey]\nposition_sd = 0\n[sensor]", "site.toml:8: [survey]: position_sd is", '"position_sd_m"'),
     ("code = 2\n", "code = 2\ncurent_sd = 0\n", f"site.toml:18: {FIRST}: curent_sd", '"current_sd"'),
