@@ -190,6 +190,7 @@ class Witness:
         self._wait -= 1
         if found is None:
             if self.finding is not None and granted[:, self._row[self.named[0]]].max() <= KEPT * self._limit:
+                self._forget()
                 self.finding = None
         elif self.named != (self._site.beacons[found[0]].id,) or self._wait <= 0:
             self.finding = self._explained(*found)
@@ -201,6 +202,14 @@ class Witness:
         last, self._place = self._place, (self._place + 1) % len(self._totals)
         self._totals[self._place] = self._totals[last] + evidence.numbers
         return _Evidence(self._totals[self._place] - self._totals[self._place - self._windows])
+
+    def _forget(self) -> None:
+        """Let the sums of all beacons begin anew: what good epochs have denied must not come up again.
+
+        It would as soon as another beacon fails, whose error shows in the shorter windows of all, too. Two that lead
+        the time one after the other and lose their power would both be blamed.
+        """
+        self._totals[:] = self._totals[self._place]
 
     def _evidence(self, judgement: Judgement) -> _Evidence:
         along, slope = judgement.field_T, judgement.gradient_T_m.swapaxes(1, 2)  # E' = -slope

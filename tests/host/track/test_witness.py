@@ -184,6 +184,24 @@ def test_a_single_bad_epoch_is_forgotten_with_the_next_good_one(method):
     assert all(pose.status is Status.OK and pose.used == IDS for pose in poses[CHANGED_AT + 2 :])
 
 
+@pytest.mark.parametrize("method", [Method.EACH, Method.TRACK])
+def test_a_beacon_that_came_back_is_not_blamed_for_the_next_one(method):
+    """One is dead for 3 s; 2.5 s after it came back another dies, and the first is as good as any other."""
+    speed = 0.5 if method is Method.TRACK else 0.0
+    back, second, end = CHANGED_AT + 30, CHANGED_AT + 55, CHANGED_AT + 70
+    data = epochs(fed(0.0), back, speed=speed, rate=speed)
+    sound = epochs(moved(0.0), end, speed=speed, rate=speed)
+    other = next(name for name in IDS if name != IDS[ROW])
+    for fields in sound[second:]:
+        fields.field_T[IDS.index(other)] = np.random.default_rng(fields.epoch).normal(size=3) * fields.sigma_T[0]
+    locate = location(SITE, method)
+    poses = [locate(fields, None) for fields in [*data, *sound[back:]]]
+    assert any(IDS[ROW] in finding.beacons for finding in poses[back - 1].findings)
+    assert not poses[second - 1].findings
+    assert not any(IDS[ROW] in finding.beacons for pose in poses[second:] for finding in pose.findings)
+    assert all(pose.status is Status.OK for pose in poses[second:])
+
+
 @pytest.mark.parametrize("factor", [1.0, 0.25])
 def test_an_error_is_forgotten_after_at_most_three_times_as_many_good_epochs_as_it_took_to_see_it(factor):
     data = epochs(moved(factor), CHANGED_AT + 30)
