@@ -6,7 +6,9 @@
     .venv/bin/python -m tests.bench.takeover_figures --kills 50 --control      another beacon dies: what its coil costs
 
 The room is that of ``prigge8``: beacon b1 is the sync master, b2 to b5 are its deputies. After each death the dead
-board gets its power back and follows; the next to die is whoever leads then.
+board gets its power back and follows; the next to die is whoever leads then. Poses are those that `goldfield run` makes
+of the sensor's serial line, where no board tells that it is gone: each cycle by itself, with the history of the
+residuals beside it.
 """
 
 from __future__ import annotations
@@ -21,9 +23,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from goldfield.access.epoch import EpochSeparator
 from goldfield.link.reports import Report
-from goldfield.locate import locate
+from goldfield.sensor.location import location
+from goldfield.sensor.options import Method
+from goldfield.sensor.separation import Separation
+from goldfield.types import Pose
 from goldfield_protocol import decode
 from hil_sim.bench import SimulatedBench
 from hil_sim.scenario import SCENARIOS
@@ -34,6 +38,8 @@ BRIDGE = (29, 30)
 """PB13, PB14."""
 CHIP_S = 16422 / 168e6
 DEPUTIES = 4
+FIRST_CYCLES = 10
+"""Cycles of the first second."""
 BEFORE_S, AFTER_S, BACK_S = 0.5, 3.0, 2.5
 """What is looked at before a death and after it, and the time that a board has to come back."""
 
@@ -53,8 +59,10 @@ class Death:
         largest distance from that line within a second.
     lost, unlocked : int
         Cycles that did not come, and that came without a lock, of the sensor.
-    first, later : Counter of str
-        Poses by status: of the first second, and of the two after it.
+    cycle : int
+        The cycle that ran then, whose chips hold the dead coil in part.
+    died, first, later : Counter of str
+        Poses by status: of that cycle, of the rest of the first second, and of the two after it.
     """
 
     killed_s: float
@@ -64,6 +72,8 @@ class Death:
     away_us: float
     lost: int
     unlocked: int
+    cycle: int
+    died: Counter[str] = field(default_factory=Counter)
     first: Counter[str] = field(default_factory=Counter)
     later: Counter[str] = field(default_factory=Counter)
 
@@ -84,23 +94,23 @@ def edges_of(bench: SimulatedBench, board: int) -> FloatArray:
     return np.unique(changes["time_ps"][np.isin(changes["pin"], BRIDGE)]) * 1e-12
 
 
-def syncs(bench: SimulatedBench) -> list[tuple[float, int]]:
-    """Take times and nodes of the SYNCs on the bus since the last call."""
+def syncs(bench: SimulatedBench) -> list[tuple[float, int, int]]:
+    """Take times, nodes and cycles of the SYNCs on the bus since the last call."""
     frames = [(frame.time_s, decode(frame.identifier, frame.data)) for frame in bench.rig.can_read()]
-    return [(time_s, m.node) for time_s, m in frames if m is not None and m.name == "SYNC"]
+    return [(time_s, m.node, int(m.signals["cycle"])) for time_s, m in frames if m is not None and m.name == "SYNC"]
 
 
-def kill(bench: SimulatedBench, board: int, leader: int) -> tuple[Death, list[Report]]:
-    """Let a board lose its power, and look on."""
+def kill(bench: SimulatedBench, board: int, leader: int) -> tuple[Death, list[Report], list[Report]]:
+    """Let a board lose its power, and look on; return the cycles before and after it, too."""
     beacons = range(1, 1 + len(bench.scenario.beacons))
     bench.rig.watch_pins()
-    bench.advance(BEFORE_S)
+    earlier = bench.advance(BEFORE_S)
     before = {number: edges_of(bench, number) for number in beacons}
-    syncs(bench)
+    synced_s, _, cycle = syncs(bench)[-1]
     killed_s = bench.rig.now_s
     bench.rig.power_cycle(board, 1000.0)
     reports = bench.advance(AFTER_S)
-    told = [time_s - killed_s for time_s, node in syncs(bench) if time_s > killed_s and node != leader]
+    told = [time_s - killed_s for time_s, node, _ in syncs(bench) if time_s > killed_s and node != leader]
     wire = bench.rig.sync_edges_s() - killed_s
     line = before[leader]
     number = np.concatenate([[0.0], np.cumsum(np.round(np.diff(line) / CHIP_S))])
@@ -121,33 +131,40 @@ def kill(bench: SimulatedBench, board: int, leader: int) -> tuple[Death, list[Re
         away_us=1e6 * max(away),
         lost=numbers[-1] - numbers[0] + 1 - len(numbers),
         unlocked=sum(not report.locked for report in reports),
+        cycle=cycle + int((killed_s - synced_s) / bench.site.cycle_s),
     )
-    return death, reports
+    return death, earlier, reports
 
 
 def deaths(bench: SimulatedBench, kills: int, control: bool, seed: int) -> Iterator[Death]:
     """Kill the leader again and again."""
     random = np.random.default_rng(seed)
-    separator = EpochSeparator(bench.site)
+    separation, locate = Separation(bench.site, of_instants=True), location(bench.site, Method.EACH)
+
+    def located(reports: list[Report]) -> list[Pose]:
+        return [locate(separation.fields(report), report) for report in reports]
+
     nodes = {beacon.node: board for board, beacon in enumerate(bench.scenario.beacons, start=1)}
-    bench.advance(1.0)
+    located(bench.advance(1.0))
     for _ in range(kills):
-        bench.advance(float(random.uniform(0.0, 0.2)))
+        located(bench.advance(float(random.uniform(0.0, 0.2))))
         leader = nodes[syncs(bench)[-1][1]]
         board = len(nodes) if control else leader
-        death, reports = kill(bench, board, leader)
-        for report in reports:
-            pose = locate(bench.site, separator.fields(report))
-            early = report.cycle - reports[0].cycle <= 10
-            (death.first if early else death.later)[pose.status.value] += 1
+        death, before, after = kill(bench, board, leader)
+        for pose in located([*before, *after])[len(before) :]:
+            since = pose.epoch - death.cycle
+            part = death.first if since <= FIRST_CYCLES else death.later
+            (death.died if since == 0 else part)[pose.status.value] += 1
         yield death
         bench.rig.power_cycle(board, float(random.uniform(0.0, 0.1)))
-        bench.advance(BACK_S)
+        located(bench.advance(BACK_S))
 
 
 def words(found: list[Death], control: bool) -> str:
     """Return what all deaths did, in lines."""
-    first, later = sum((death.first for death in found), Counter()), sum((death.later for death in found), Counter())
+    died, first, later = (
+        sum((getattr(death, name) for death in found), Counter()) for name in ("died", "first", "later")
+    )
     lines = [f"{len(found)} deaths of {'another beacon' if control else 'the leader'}"]
     if not control:
         told, edge = ([getattr(death, name) for death in found] for name in ("told_s", "edge_s"))
@@ -159,7 +176,8 @@ def words(found: list[Death], control: bool) -> str:
         f"largest step of a living beacon's chip edge {max(death.step_us for death in found):.3f} us, largest distance "
         f"from the dead leader's time line within a second {max(death.away_us for death in found):.3f} us",
         f"cycles lost {sum(death.lost for death in found)}, not locked {sum(death.unlocked for death in found)}",
-        f"poses of the first second {shown(first)}; of the two seconds after it {shown(later)}",
+        f"poses of the cycle of the death {shown(died)}; of the rest of the first second {shown(first)}; of the two "
+        f"seconds after it {shown(later)}",
     ]
     return "\n".join(lines)
 

@@ -17,6 +17,7 @@ from goldfield.sensor.guard import guarded
 from goldfield.sensor.on_sensor import on_sensor_parameters, on_sensor_pose
 from goldfield.sensor.options import Method, Options
 from goldfield.sensor.pose_rate import blocks_a_pose
+from goldfield.sensor.stopping import Stopping
 from goldfield.site import Site
 from goldfield.track import EpochObserver, Tracker, Witness
 from goldfield.track.continuity import Hemisphere, joined, time_break
@@ -96,11 +97,15 @@ def _located(site: Site, method: Method) -> Location:
 
 
 class Each:
-    """Locates every epoch by itself, but for a beacon that the history of the residuals names: it is left out."""
+    """Locates every epoch by itself, but for a beacon that the history of the residuals names: it is left out.
+
+    The cycle in which a coil goes off is told by the one before (`goldfield.sensor.stopping`).
+    """
 
     def __init__(self, site: Site) -> None:
         self._site = site
         self._witness = Witness(site)
+        self._stopping = Stopping(site)
         self._confirmation = Confirmation()
         self._observer = EpochObserver(site)
 
@@ -110,8 +115,9 @@ class Each:
             # The history takes all axes to be at one point: it would blame beacons.
             return ready or locate(self._site, fields)
         named = self._witness.named
-        pose = ready if ready is not None and not named else locate(self._site, without(fields, named))
-        pose = self._confirmation.follow(pose)
+        heard = without(fields, named)
+        pose = ready if ready is not None and not named else locate(self._site, heard)
+        pose = self._confirmation.follow(self._stopping.follow(heard, pose))
         judgement = None
         if pose.status not in (Status.FAILED, Status.AMBIGUOUS) and all(finding.beacons for finding in pose.findings):
             pose = replace(pose, excluded=(*pose.excluded, *(name for name in named if name in fields.beacons)))
