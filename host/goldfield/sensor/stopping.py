@@ -24,8 +24,8 @@ from goldfield.types import Explanation, Fields, Finding, FloatArray, Pose, Stat
 STEP_TOLERANCE = 0.25
 """Largest part of a cycle by which the time between two neighbours differs from one."""
 CLEAR_SIGMAS = 5.0
-"""Standard deviations of its noise by which a field must have become less: of two cycles, chance does it to one of eight
-beacons in one of 500 pairs."""
+"""Standard deviations of its noise by which a field must have become less: by chance one of eight beacons does so in
+one of 500 pairs of cycles."""
 ALIKE = 0.2
 """Largest part of the field before by which what is left may differ from a multiple of it, as by motion."""
 TRUSTED = (Status.OK, Status.UNVERIFIED, Status.WEAK)
