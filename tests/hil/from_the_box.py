@@ -98,13 +98,16 @@ class Bench:
         self.rig.advance(BOOTED_S)
         self.link = None
 
-    def run(self, *words, port=None):
-        """Return exit code, stdout and stderr of a command on a link of its own: the bus, or the port of a board."""
+    def run(self, *words, port=None, into=None):
+        """Return exit code, stdout and stderr of a command on a link of its own: the bus, or the port of a board.
+
+        stdout is empty if it goes ``into`` a file.
+        """
         self.link = RigLink(self.rig) if port is None else RigSerialLink(self.rig, port)
         opening.open_link, conversations.time = lambda *_: self.link, self.link
         out, told = io.StringIO(), io.StringIO()
         link = ["--can", "socketcan:can0"] if port is None else ["--port", f"/dev/ttyUSB{port}"]
-        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(told):
+        with contextlib.redirect_stdout(into or out), contextlib.redirect_stderr(told):
             code = main([*words, *link])
         return code, out.getvalue(), told.getvalue()
 

@@ -1,6 +1,7 @@
 """Sites that share codes, or have more beacons than a list of codes holds, written to host boards and verified."""
 
 import json
+import os
 
 import numpy as np
 import pytest
@@ -53,6 +54,12 @@ def test_planned_and_shared_codes_are_written_and_verified(bench, tmp_path, caps
     shared = {beacon.id: beacon.code for beacon in sites.load(coded).beacons}
     assert len(set(shared.values())) == 9
     assert made.run("site", "check", str(coded))[0] == 3
+    with os.fdopen(os.open("/dev/full", os.O_WRONLY), "w", buffering=1) as full:
+        code, _, told = made.run("site", "push", str(coded), "--strongest", "6", into=full)
+    assert (code, "the output cannot be written: No space left on device" in told) == (3, True)
+    assert (
+        made.lines("site", "check", str(coded), "--strongest", "6") == []
+    )  # all the same the boards are set, and saved
     (pushed,) = made.lines("site", "push", str(coded), "--strongest", "6")
     assert pushed["nodes"] == sorted([*numbers.values(), sensor])
     assert {name: value(made, node, "code") for name, node in numbers.items()} == shared

@@ -37,10 +37,12 @@ def flash(conversation: Conversation, arguments: argparse.Namespace, images: Seq
     printed.show(updater.outcomes)
     failed = [outcome for outcome in updater.outcomes if not outcome.done]
     if len(boards) > 1 and not arguments.json:
-        print(f"{len(boards) - len(failed)} of {counted(len(boards), 'boards')} updated")
+        printed.line(f"{len(boards) - len(failed)} of {counted(len(boards), 'boards')} updated")
     if failed:
         which = ", ".join(str(outcome.board.number) for outcome in failed)
         raise SystemFailure(f"{conversation.name}: not updated: {counted(len(failed), 'nodes')}, {which}: see above")
+    if printed.error is not None:
+        raise printed.error
 
 
 def _chosen(boards: Sequence[Board], arguments: argparse.Namespace, images: Sequence[Image]) -> list[Board]:
@@ -101,12 +103,25 @@ def _groups(
 
 
 class _Printed:
-    """Prints outcomes, each once."""
+    """Prints outcomes, each once.
+
+    Attributes
+    ----------
+    error : OSError or None
+        Why a line was not written: a disk that is full, or a reader that went away, must end no update amid its boards.
+    """
 
     def __init__(self, as_json: bool, before: dict[Board, str]) -> None:
         self._json = as_json
         self._before = before
         self._count = 0
+        self.error: OSError | None = None
+
+    def line(self, text: str) -> None:
+        try:
+            print(text)
+        except OSError as error:
+            self.error = error
 
     def show(self, outcomes: Sequence[Outcome]) -> None:
         for outcome in outcomes[self._count :]:
@@ -114,9 +129,9 @@ class _Printed:
             if self._json:
                 record = {"node": board.number, "unique_id": board.unique_id, "role": board.role}
                 record |= {"version_before": self._before[board], "updated": outcome.done, "text": outcome.text}
-                print(json_line(record))
+                self.line(json_line(record))
             elif outcome.done:
-                print(f"node {board.number} {outcome.text}; it had {self._before[board]}")
+                self.line(f"node {board.number} {outcome.text}; it had {self._before[board]}")
             else:
                 tell(f"node {board.number} {outcome.text}", failure=True)
         self._count = len(outcomes)

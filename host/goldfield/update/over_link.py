@@ -64,6 +64,11 @@ WENT_BACK = (
     "went back to the image that it had, as the new one did not confirm itself: goldfield nodes tells of its last reset"
 )
 RESTARTED = "has restarted meanwhile, with the image that it had: see why with goldfield nodes, and try again"
+LEFT = "does not answer any more, and keeps the image that it had: check its power and its cable, and try again"
+UNHEARD = (
+    "was not heard since it was to restart: check its power and its cable; a new image that hears no command goes back "
+    "to the one before within 90 s"
+)
 NOT_STARTED = "runs the image that it had, and has not tried the new one: try again"
 
 PAGE_BLOCKS = 1024
@@ -277,7 +282,7 @@ class Updater:
             if board in started:
                 self._fail(board, "runs the new image, which did not confirm itself: it goes back within a minute")
             else:
-                self._fail(board, "was not heard since its restart: power it off and on")
+                self._fail(board, UNHEARD)
 
     # ---- Commands ----
 
@@ -342,7 +347,7 @@ class Updater:
         accepted = []
         for board in boards:
             if board not in answers:
-                self._fail(board, "does not answer any more: see who is there with goldfield nodes")
+                self._fail(board, LEFT)
             elif answers[board][0] != wanted:
                 status = answers[board][0]
                 if status == REFUSED and refused is not None:

@@ -9,6 +9,7 @@ import contextlib
 import io
 from collections import deque
 from collections.abc import Callable, Sequence
+from typing import TextIO
 
 import can
 
@@ -127,6 +128,8 @@ class BoardsLink(VirtualLink):
     ----------
     foreign : bool
         Whether heartbeats tell another protocol.
+    gone : set of int
+        Places of the boards whose cable is pulled.
     interrupt_at : int or None
         The block with which the user ends the command.
     """
@@ -139,6 +142,7 @@ class BoardsLink(VirtualLink):
         self.sent: list[str] = []
         self.interrupt_at: int | None = None
         self.foreign = False
+        self.gone: set[int] = set()
         self._advance(50 * MS)
         self._received.clear()
 
@@ -151,7 +155,7 @@ class BoardsLink(VirtualLink):
             raise KeyboardInterrupt
         self.bus = max(self.bus, self.now) + FRAME
         for seat in self.seats:
-            if self.hears(message.name, message.index, seat.place):
+            if seat.place not in self.gone and self.hears(message.name, message.index, seat.place):
                 time = seat.local(self.bus)
                 if self.serial:
                     seat.life.board.receive(encode_frame(identifier, data), time)
@@ -173,6 +177,8 @@ class BoardsLink(VirtualLink):
                 seat.starts += message is not None and message.name == "HEARTBEAT" and message.signals["state"] == 0
                 if seat.starts > 1:
                     break
+                if seat.place in self.gone:
+                    continue
                 if self.foreign and message is not None and message.name == "HEARTBEAT":
                     data = bytes([data[0] ^ 1, *data[1:]])
                 self._hear(identifier, data, until)
@@ -194,11 +200,11 @@ class BoardsLink(VirtualLink):
         return [(identifier, data) for _, _, identifier, data in new_requests]
 
 
-def run(monkeypatch, link: BusSource, *words: str) -> tuple[int, str, str]:
-    """Return exit code, stdout and stderr of a command on a link."""
+def run(monkeypatch, link: BusSource, *words: str, into: TextIO | None = None) -> tuple[int, str, str]:
+    """Return exit code, stdout and stderr of a command on a link; stdout is empty if it goes ``into`` a file."""
     monkeypatch.setattr(opening, "open_link", lambda *_: link)
     monkeypatch.setattr(conversations, "time", link)
     out, told = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(told):
+    with contextlib.redirect_stdout(into or out), contextlib.redirect_stderr(told):
         code = main([*words, *(("--port", "/dev/x") if link.link_bit == 1 else ("--can", "socketcan:can0"))])
     return code, out.getvalue(), told.getvalue()
