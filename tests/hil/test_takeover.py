@@ -3,11 +3,15 @@
 .venv/bin/python -m tests.bench.takeover_figures      prints the figures of fifty deaths
 """
 
+from collections import Counter
+
 import pytest
 
 from tests.bench.takeover_figures import Death, measure
 
 TAKEN_OVER_S = 1.0
+PERMITTED = 0.04
+"""Poses that are worse than weak in the 3 s of a death, beyond one: chance makes one of 1,500 sound cycles so."""
 STEP_US = 1.0
 
 
@@ -20,8 +24,9 @@ def check(deaths: list[Death]) -> None:
         assert (death.lost, death.unlocked) == (0, 0)
         assert sum(death.first.values()) >= 10
         assert sum(death.later.values()) >= 18
-    poses = sum((death.first + death.later for death in deaths), start=deaths[0].first - deaths[0].first)
-    assert poses["ok"] > 0.9 * sum(poses.values())  # The dead beacon's own coil may spoil some.
+    poses = sum((death.died + death.first + death.later for death in deaths), start=Counter())
+    assert poses["ok"] > 0.96 * sum(poses.values())  # The cycle in which the coil goes off may be weak.
+    assert sum(poses.values()) - poses["ok"] - poses["weak"] <= max(1.0, PERMITTED * len(deaths))
 
 
 @pytest.mark.parametrize("sync", ["wire", "can"])
