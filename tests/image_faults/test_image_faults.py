@@ -62,6 +62,13 @@ def test_no_instruction_that_asks_for_the_key_is_needed_alone() -> None:
     check(done)
 
 
+def test_no_instruction_that_orders_the_slots_is_needed_alone() -> None:
+    """The store of the second place, skipped, once started an older image: the newer one was never looked at."""
+    done = outcomes(named("older"), functions=("select_open",))
+    assert len(done) >= 25
+    check(done)
+
+
 SAMPLES = [("look0", 131), ("look2", 137), ("before", 211), ("locked", 37), ("frames", 41), ("load", 83)]
 
 

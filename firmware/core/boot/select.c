@@ -82,13 +82,15 @@ static uint8_t start(select_t *select, bool trial) {
     return PHASE_DONE;
 }
 
-/* No slot is left: any image that is signed is better than none. It is checked twice, as in after(). */
+/* No slot is left: any image that is signed is better than none. It is checked twice, as in after(). What is demanded
+ * is asked again: an instruction that went wrong may have brought it here past a confirmed image, beside which an older
+ * one does not start. */
 static uint8_t last_resort(select_t *select) {
-    const image_demand_t any = {.role = IMAGE_ANY_ROLE, .least_version = 0};
     for (uint32_t place = 0; place < IMAGE_SLOTS; place++) {
-        if (image_check(&select->flash, select->order[place], &any) == IMAGE_OK) {
+        const image_demand_t demand = select_demand(&select->flash, select->order[place]);
+        if (image_check(&select->flash, select->order[place], &demand) == IMAGE_OK) {
             select->place = place;
-            return is_signed(select, &any) ? start(select, true) : (uint8_t)PHASE_DONE;
+            return is_signed(select, &demand) ? start(select, true) : (uint8_t)PHASE_DONE;
         }
     }
     return PHASE_DONE;
