@@ -85,7 +85,9 @@ typedef enum {
     RIG_FAULT_DRIVER_HOT = 9,   /* The driver's is. */
     /* The pull-downs at the board's enable and sync output are not connected: released, these pins float. */
     RIG_FAULT_PULL_DOWNS_LOST = 10,
-    RIG_FAULT_CAN_CUT = 11 /* The board is not on the CAN bus: what it asks of it waits. */
+    RIG_FAULT_CAN_CUT = 11,        /* The board is not on the CAN bus: what it asks of it waits. */
+    RIG_FAULT_BRIDGE_SWAPPED = 12, /* The bridge's inputs are exchanged. */
+    RIG_FAULT_COIL_REVERSED = 13   /* The coil's wires are exchanged, behind the current sense. */
 } rig_fault_t;
 
 /* A rig without boards. Returns NULL if the configuration breaks a rule above or there is no memory. */
@@ -152,6 +154,10 @@ void rig_sensor_field(const rig_t *rig, unsigned board, double field_T[3]);
 
 /* Make or mend a fault. coil counts for the faults of a coil alone, and must be there then. */
 void rig_fault(rig_t *rig, unsigned board, unsigned coil, rig_fault_t fault, bool active);
+
+/* Strike the sync wire: all boards that are on it see it high for width_ps, above 0, from after_ps (0 or more) behind
+ * the first moment on that none of them has lived through. */
+void rig_glitch(rig_t *rig, int64_t after_ps, int64_t width_ps);
 
 /* Let an axis (0..2) of a board's sensor, which must have one, fail, or be sound again: see front_end.h. */
 void rig_sensor_fault(rig_t *rig, unsigned board, unsigned axis, front_end_fault_t fault, double value);

@@ -49,6 +49,17 @@ void wires_serve_sync(rig_t *rig) {
     }
 }
 
+void rig_glitch(rig_t *rig, int64_t after_ps, int64_t width_ps) {
+    const int64_t begin_ps = rig_now(rig) + 2 * (int64_t)RIG_QUANTUM_PS + after_ps; /* The sync master is ahead. */
+    for (unsigned board = 0; board < rig->slots; ++board) {
+        const board_slot_t *const slot = &rig->slot[board];
+        if (!slot->sync_cut) {
+            slot->operations->pin_in(slot->instance, BOARD_PIN_SYNC_IN, true, arrives(rig, board, begin_ps));
+            slot->operations->pin_in(slot->instance, BOARD_PIN_SYNC_IN, false, begin_ps + width_ps);
+        }
+    }
+}
+
 /* ---- CAN ---- */
 
 bool wires_is_silent(const rig_t *rig, int64_t time_ps) {

@@ -111,9 +111,14 @@ void rig_supply(rig_t *rig, unsigned board, double volts) {
 
 void rig_fault(rig_t *rig, unsigned board, unsigned coil, rig_fault_t fault, bool active) {
     static const coil_fault_t of_coil[] = {
-        [RIG_FAULT_COIL_OPEN] = COIL_OPEN,        [RIG_FAULT_SENSE_SHORTED] = COIL_SENSE_LOW,
-        [RIG_FAULT_COIL_SHORTED] = COIL_SHORTED,  [RIG_FAULT_DRIVER_RUNAWAY] = COIL_RUNAWAY,
-        [RIG_FAULT_DRIVER_STUCK] = COIL_STUCK_ON, [RIG_FAULT_SENSE_HELD] = COIL_SENSE_HELD,
+        [RIG_FAULT_COIL_OPEN] = COIL_OPEN,
+        [RIG_FAULT_SENSE_SHORTED] = COIL_SENSE_LOW,
+        [RIG_FAULT_COIL_SHORTED] = COIL_SHORTED,
+        [RIG_FAULT_DRIVER_RUNAWAY] = COIL_RUNAWAY,
+        [RIG_FAULT_DRIVER_STUCK] = COIL_STUCK_ON,
+        [RIG_FAULT_SENSE_HELD] = COIL_SENSE_HELD,
+        [RIG_FAULT_BRIDGE_SWAPPED] = COIL_BRIDGE_SWAPPED,
+        [RIG_FAULT_COIL_REVERSED] = COIL_REVERSED,
     };
     board_slot_t *const slot = &rig->slot[board];
     const int64_t time_ps = rig_now(rig) + slot->lead_ps;

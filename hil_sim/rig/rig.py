@@ -43,6 +43,7 @@ SENSOR = 0
 FAULTS = (
     *("driver", "coil_open", "sense_shorted", "sync_wire_cut", "coil_shorted", "driver_runaway"),
     *("driver_stuck", "sense_held", "coil_hot", "driver_hot", "pull_downs_lost", "can_cut"),
+    *("bridge_swapped", "coil_reversed"),
 )
 """The faults that a board can be given, in the order of ``rig_fault_t``."""
 CHIP_PS = 16422 / 168e6 * 1e12
@@ -434,6 +435,20 @@ class Rig:
         if kind in COIL_FAULTS:
             self._check_coil(board, coil)
         self._library.rig_fault(self._rig, board, coil, FAULTS.index(kind), active)
+
+    def glitch(self, width_s: float, after_s: float = 0.0) -> None:
+        """Strike the sync wire: all boards that are on it see it high for so long, from 40 us and a time after `now_s`.
+
+        Raises
+        ------
+        UserError
+            If it lasts less than 1 ns or more than 10 ms, or begins before that, or more than a second later.
+        """
+        if not (1e-9 <= width_s <= 0.01 and 0.0 <= after_s <= 1.0):
+            raise UserError(
+                f"a glitch lasts 1 ns to 10 ms and begins within 1 s, not {width_s:g} s from {after_s:g} s on"
+            )
+        self._library.rig_glitch(self._rig, round(after_s * 1e12), round(width_s * 1e12))
 
     def sensor_fault(self, axis: int, kind: str, value: float = 0.0, board: int = SENSOR) -> None:
         """Let an axis of a board's sensor fail by a name of `SENSOR_FAULTS`, or be ``sound`` again, at the present.

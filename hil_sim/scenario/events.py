@@ -22,6 +22,7 @@ HIGHEST_PROCESSOR_SUPPLY_V = 4.0
 """Absolute maximum rating of the processor's supply (data sheet DS8626, table 11)."""
 COIL_FAULTS = (
     *("coil_open", "sense_shorted", "coil_shorted", "driver_runaway", "driver_stuck", "sense_held", "coil_hot"),
+    *("bridge_swapped", "coil_reversed"),
 )
 """Faults of one coil with its driver and its current sense."""
 SENSOR_FAULTS = ("sound", "held", "low", "high", "gain", "other_axis", "bit_high", "bit_low")

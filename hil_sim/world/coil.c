@@ -77,9 +77,10 @@ static void go_to(const coil_t *coil, coil_segment_t *segment, double since_s, d
 }
 
 /* What the inputs ask for now, and what the driver makes of it. */
-static double target(const coil_t *coil, const coil_segment_t *segment) {
+static double driven(const coil_t *coil, const coil_segment_t *segment) {
     const coil_config_t *const config = &coil->config;
-    const double sign = coil->input1 == coil->input2 ? 0.0 : coil->input1 ? 1.0 : -1.0;
+    const bool forward = coil->input1 != coil->fault[COIL_BRIDGE_SWAPPED];
+    const double sign = coil->input1 == coil->input2 ? 0.0 : forward ? 1.0 : -1.0;
     const double limit_A = config->driver_limit_A > 0.0 ? config->driver_limit_A : INFINITY;
     if (coil->fault[COIL_STUCK_ON]) {
         return limit_A;
@@ -97,6 +98,11 @@ static double target(const coil_t *coil, const coil_segment_t *segment) {
     const double late_A = spare_V > 0.0 ? spare_V * config->driver_delay_s / fast_H : 0.0;
     const double asked_A = held_A + copysign(late_A, held_A);
     return fabs(asked_A) > limit_A ? copysign(limit_A, asked_A) : asked_A;
+}
+
+/* What flows in the coil and what flows in the driver differ by this factor. */
+static double turned(const coil_t *coil) {
+    return coil->fault[COIL_REVERSED] ? -1.0 : 1.0;
 }
 
 /* A time constant that is not the low-pass's: equal ones would divide by zero, and one part in a million apart is the
@@ -209,7 +215,7 @@ static void begin_segment(coil_t *coil, double dead_s, int64_t time_ps) {
         next->count -= next->count > 1 && next->piece[1].since_s >= next->dead_s;
         since_s = next->dead_s;
     }
-    go_to(coil, next, since_s, coil->fault[COIL_OPEN] ? 0.0 : target(coil, next));
+    go_to(coil, next, since_s, coil->fault[COIL_OPEN] ? 0.0 : turned(coil) * driven(coil, next));
     ++coil->made;
     if (next->start_ps != latest->start_ps) {
         ++coil->head;
@@ -380,7 +386,8 @@ double coil_sense(coil_t *coil, uint64_t stream, int64_t time_ps) {
     }
     if (!coil->fault[COIL_SENSE_HELD]) {
         const double noise = coil->config.sense_noise_V * noise_normal(stream, (uint64_t)time_ps);
-        coil->sense_V = sense_middle_V + coil->config.sense_V_per_A * coil_current(coil, time_ps) + noise;
+        const double current_A = turned(coil) * coil_current(coil, time_ps);
+        coil->sense_V = sense_middle_V + coil->config.sense_V_per_A * current_A + noise;
     }
     return coil->sense_V;
 }

@@ -86,9 +86,11 @@ typedef enum {
     COIL_SHORTED = 1,  /* Turns are shorted, as said above. */
     COIL_RUNAWAY = 2,  /* The driver's loop is gone: an enabled bridge gives the full supply in the asked direction. */
     COIL_STUCK_ON = 3, /* A half of the bridge is shorted: the full supply, positive, whatever inputs and enable say. */
-    COIL_SENSE_LOW = 4,  /* The sense output lies at 0 V. */
-    COIL_SENSE_HELD = 5, /* The sense output stays where it was when somebody last looked. */
-    COIL_FAULTS = 6
+    COIL_SENSE_LOW = 4,      /* The sense output lies at 0 V. */
+    COIL_SENSE_HELD = 5,     /* The sense output stays where it was when somebody last looked. */
+    COIL_BRIDGE_SWAPPED = 6, /* The bridge's inputs are exchanged: the current flows the other way, and is sensed so. */
+    COIL_REVERSED = 7, /* The coil's wires are exchanged behind the sense: it flows the other way in the coil alone. */
+    COIL_FAULTS = 8
 } coil_fault_t;
 
 /* What a segment ends with, apart from the rest and short, for those who look at many coils: from since_ps on the

@@ -281,6 +281,21 @@ def test_faults(tmp_path):
         rig.close()
 
 
+def test_a_glitch_on_the_sync_wire_reaches_every_board_at_one_moment(tmp_path):
+    boards = FakeBoards(still=True)
+    with Rig(small(tmp_path), boards) as rig:
+        rig.fault(2, "sync_wire_cut")
+        rig.advance(0.01)
+        at_ps = round(rig.now_s * 1e12) + 240 * 10**6
+        rig.glitch(5e-6, after_s=2e-4)
+        rig.advance(0.001)
+        for board, on_the_wire in ((0, True), (1, True), (2, False), (3, True)):
+            glitch = {(1, at_ps), (0, at_ps + 5 * 10**6)}
+            assert (glitch <= set(heard(rig.serial_read(board), "sync"))) == on_the_wire
+        with pytest.raises(UserError, match="lasts 1 ns to 10 ms and begins within 1 s, not 0 s"):
+            rig.glitch(0.0)
+
+
 def test_the_enable_needs_its_pull_down(tmp_path):
     """Before power-on no pin of a board is driven: only the pull-down keeps the bridge off."""
     on = {False: 0, True: 0}

@@ -211,6 +211,22 @@ def test_a_shorted_half_of_the_bridge_drives_whatever_is_asked(lib):
     assert library.coil_current(coil, 100 * US) == 15.9
 
 
+@pytest.mark.parametrize(
+    ("fault", "current", "sensed"), [("COIL_BRIDGE_SWAPPED", -10.0, -10.0), ("COIL_REVERSED", -10.0, 10.0)]
+)
+def test_wires_that_are_exchanged_turn_the_current(lib, fault, current, sensed):
+    """The asymmetry is the driver's: it goes with the direction that the driver drives in."""
+    _, library = lib
+    coil = make(lib, asymmetry=0.01)
+    library.coil_fault(coil, getattr(library, fault), True, 0)
+    drive(library, coil, 1, 0)
+    larger = 1.0 + 0.01 * np.sign(sensed)
+    assert library.coil_current(coil, 90 * US) == pytest.approx(current * larger)
+    assert library.coil_sense(coil, 2, 90 * US) == pytest.approx(1.65 + sensed * larger * 0.103125)
+    library.coil_fault(coil, getattr(library, fault), False, 95 * US)
+    assert library.coil_current(coil, 190 * US) == pytest.approx(10.1)
+
+
 def test_a_held_sense_does_not_move(lib):
     _, library = lib
     coil = make(lib)
