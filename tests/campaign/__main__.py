@@ -18,7 +18,7 @@ from tests.campaign.kinds import KINDS
 from tests.campaign.table import shown
 from tests.campaign.trial import Kind, Outcome, Trial
 
-RESULTS = Path("build/campaign/outcomes.jsonl")
+RESULTS = {"host": Path("build/campaign/outcomes.jsonl"), "emulated": Path("build/campaign/emulated.jsonl")}
 
 
 def of_name(group: str, name: str) -> Kind:
@@ -67,20 +67,22 @@ def main() -> int:
     parser.add_argument("--kind", help="only the kinds whose name holds this")
     parser.add_argument("--seed", type=int, help="this seed alone, told whole and not kept")
     parser.add_argument("--boards", choices=("host", "emulated"), default="host")
-    parser.add_argument("--results", type=Path, default=RESULTS)
+    parser.add_argument("--results", type=Path, help="where the outcomes are kept (default: a file a kind of board)")
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--table", action="store_true", help="run nothing")
     arguments = parser.parse_args()
-    kinds = [kind for kind in KINDS if arguments.kind is None or arguments.kind in kind.name]
+    possible = [kind for kind in KINDS if arguments.boards == "emulated" or not kind.emulated]
+    kinds = [kind for kind in possible if arguments.kind is None or arguments.kind in kind.name]
     if not kinds:
         parser.error(f'no kind has "{arguments.kind}" in its name')
     if arguments.seed is not None:
         for kind in kinds:
             print(json.dumps(Trial(kind, arguments.seed, arguments.boards).run().as_dict(), indent=2))
         return 0
+    results = arguments.results or RESULTS[arguments.boards]
     if not arguments.table:
-        run_missing(arguments.results, kinds, range(1, 1 + arguments.seeds), arguments.boards, arguments.processes)
-    outcomes = [one for one in read(arguments.results) if arguments.kind is None or arguments.kind in one.name]
+        run_missing(results, kinds, range(1, 1 + arguments.seeds), arguments.boards, arguments.processes)
+    outcomes = [one for one in read(results) if arguments.kind is None or arguments.kind in one.name]
     print(shown(outcomes))
     return 1 if any(one.wrong for one in outcomes) else 0
 

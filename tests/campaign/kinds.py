@@ -17,7 +17,10 @@ from hil_sim.world.magnet import Magnet
 from hil_sim.world.roaming import Roaming
 from hil_sim.world.sheet import Sheet
 from tests.campaign import links
+from tests.campaign.carried import CARRIED
+from tests.campaign.host_kinds import HOST
 from tests.campaign.trial import FAULT_S, HIGH_M, LOW_M, RATE_RAD_S, SPEED_M_S, Kind, Trial
+from tests.campaign.wire_kinds import GLITCHES, WIRES, quiet
 
 AWAY_S = 1000.0
 """A board that is to stay dead gets its power back so much later, or when somebody gives it."""
@@ -206,6 +209,21 @@ def reset(name: str, boards: Callable[[Trial], list[int]], off_s: float = 0.05) 
     return Kind("beacon", name, begin, lasts_s=off_s + 0.05)
 
 
+def turned(fault: str, name: str) -> Kind:
+    """Return the kind by which a beacon is reset while its wires are exchanged, and again to mend them."""
+
+    def begin(trial: Trial) -> None:
+        trial.notes["board"] = trial.follower()
+        trial.rig.fault(trial.notes["board"], fault)
+        trial.rig.power_cycle(trial.notes["board"], 0.05)
+
+    def end(trial: Trial) -> None:
+        trial.rig.fault(trial.notes["board"], fault, active=False)
+        trial.rig.power_cycle(trial.notes["board"], 0.05)
+
+    return Kind("beacon", name, begin, end)
+
+
 def some(count: int) -> Callable[[Trial], list[int]]:
     """Return what draws so many beacons that do not lead."""
     return lambda trial: [int(board) for board in 2 + trial.random.choice(trial.beacons - 1, count, replace=False)]
@@ -229,7 +247,7 @@ BEACONS = [
         struck(fault)
         for fault in (
             *("coil_open", "coil_shorted", "coil_hot", "driver_runaway", "driver_stuck", "sense_shorted"),
-            *("sense_held", "driver", "driver_hot", "pull_downs_lost"),
+            *("sense_held", "driver", "driver_hot", "pull_downs_lost", "bridge_swapped"),
         )
     ),
     moved(0.02),
@@ -248,6 +266,8 @@ BEACONS = [
     reset("one is reset", some(1)),
     reset("the sync master is reset", lambda trial: [trial.scenario.sync_master]),
     reset("all are reset", lambda trial: list(range(1, 1 + trial.beacons))),
+    turned("bridge_swapped", "comes back with its bridge swapped"),
+    turned("coil_reversed", "comes back with its coil reversed"),
     told("a stranger sets half the amplitude", "amplitude", lambda trial, board: 5.0),
 ]
 
@@ -318,11 +338,6 @@ def time_of_its_own() -> Kind:
         trial.rig.power_cycle(2, 0.05)
 
     return Kind("time", "a beacon has a time of its own, unheard", begin, end, with_deputy, by_arrival=True)
-
-
-def quiet(trial: Trial) -> None:
-    """Let the link be sound again."""
-    trial.link.spoil = lambda data: data
 
 
 TIME = [
@@ -469,7 +484,8 @@ PAIRS = [
     pair(one(BEACONS, "the sync master dies"), one(LINKS, "bit errors 1e-05")),
     pair(one(SURROUNDINGS, "mains 4 uT with harmonics"), one(BEACONS, "moved 1 m")),
     pair(one(TIME, "a beacon's sync wire cut"), one(BEACONS, "one dies")),
+    pair(one(GLITCHES, "50 glitches/s of 100 us"), one(BEACONS, "one dies")),
 ]
 
 NOTHING = Kind("none", "nothing")
-KINDS = [NOTHING, *SENSOR, *SURROUNDINGS, *BEACONS, *TIME, *LINKS, *PAIRS]
+KINDS = [NOTHING, *SENSOR, *SURROUNDINGS, *CARRIED, *BEACONS, *TIME, *WIRES, *LINKS, *HOST, *PAIRS]

@@ -24,7 +24,7 @@ class CanLink(RigLink):
     """
 
     def __init__(self, rig: Rig, tick: Tick) -> None:
-        self.spoil: Spoil = lambda frames: frames
+        self.spoil: Spoil = sound
         self.latest_s = 0.0
         self._tick = tick
         super().__init__(rig)  # type: ignore[no-untyped-call]
@@ -42,7 +42,7 @@ class SerialLink(RigSerialLink):
     """The sensor's serial line; as `CanLink`, with the bytes of a look in place of its frames."""
 
     def __init__(self, rig: Rig, tick: Tick) -> None:
-        self.spoil: Spoil = lambda data: data
+        self.spoil: Spoil = sound
         self.latest_s = 0.0
         self._tick = tick
         super().__init__(rig)  # type: ignore[no-untyped-call]
@@ -102,6 +102,11 @@ def doubled(data: Any) -> Any:
 def noisy(count: int, random: np.random.Generator) -> Spoil:
     """Return what puts so many random bytes before those of each look."""
     return lambda data: random.bytes(count) + data
+
+
+def sound(data: Any) -> Any:
+    """Return what came."""
+    return data
 
 
 def silent(data: Any) -> Any:

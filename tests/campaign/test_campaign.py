@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.campaign import __main__ as command
+from tests.campaign.carried import ball
 from tests.campaign.kinds import KINDS, NOTHING, passing
 from tests.campaign.table import shown
 from tests.campaign.trial import SOUND_S, Outcome, Trial
@@ -48,6 +49,9 @@ def test_a_pose_that_is_off_by_more_than_it_promises_is_wrong(monkeypatch):
         ("beacon", "coil_open", "board", 0.3),
         ("time", "sensor has no power for 3 s", "silence", 0.36),
         ("serial", "nothing comes", "silence", 0.36),
+        ("serial", "the host is killed and started again", "silence", 0.36),
+        ("CAN", "the sensor loses the bus", "silence", 0.36),
+        ("sync wire", "3 glitches/s of 100 us", "clock", 4.0),
     ],
 )
 def test_what_breaks_is_told_and_is_over_when_it_is_mended(group, name, by, soon_s):
@@ -62,6 +66,22 @@ def test_a_master_that_returns_in_hold_over_makes_no_pose_wrong():
     """Its coil drives by its new time before the others have given up the old one: of this seed a pose was wrong."""
     found = outcome("beacon", "the sync master dies", 10)
     assert (found.wrong, found.false_before, found.error) == (0, 0, "")
+
+
+def test_a_consumer_that_is_slow_loses_nothing_and_is_told_nothing():
+    found = outcome("CAN", "who takes the poses is slow")
+    assert (found.detected_s, found.wrong, found.error) == (None, 0, "")
+    assert found.poses >= found.expected
+
+
+def test_what_is_carried_is_where_it_was_carried_to():
+    trial = Trial(ball("iron", 0.12, 0.2), 1)
+    trial.rig.close()
+    scenario = trial.scenario
+    assert scenario.metal_at(trial.at_s - 0.01) == scenario.metal_at(trial.until_s + 0.01) == ()
+    places = [scenario.metal_at(trial.at_s + after_s)[0].centre_m for after_s in (0.01, 2.05, 3.95)]
+    np.testing.assert_allclose([place[1] for place in places], [0.4, 1.05, 0.4 + 1.3 * 3.9 / 4.0], atol=1e-9)
+    assert all(np.array_equal(place[[0, 2]], places[0][[0, 2]]) for place in places)
 
 
 def test_the_same_seed_makes_the_same_outcome():

@@ -68,6 +68,8 @@ class Kind:
         How long it lasts.
     by_arrival : bool
         No number tells which cycle it was, as two masters drove the wire: the moment of its last message does, on CAN.
+    emulated : bool
+        Only an emulated board can have it.
     """
 
     group: str
@@ -78,6 +80,11 @@ class Kind:
     serial: bool = False
     lasts_s: float = FAULT_S
     by_arrival: bool = False
+    emulated: bool = False
+
+
+class Killed(Exception):
+    """The host is killed: what it was told is gone, and a new one starts."""
 
 
 @dataclass
@@ -141,6 +148,8 @@ class Trial:
     scenario : Scenario
     notes : dict
         What `begin` leaves for `end`.
+    takes_s : float
+        How long, in virtual time, a pose is taken for before the next one is asked for.
     """
 
     def __init__(self, kind: Kind, seed: int, boards: str = "host") -> None:
@@ -153,6 +162,9 @@ class Trial:
         if kind.plan is not None:
             self.scenario = kind.plan(self.scenario, self.at_s, self.until_s, self.random)
         self.notes: dict[str, Any] = {}
+        self.takes_s = 0.0
+        self._seen: list[tuple[float, float, Epoch]] = []
+        self._truth: list[Truth] = []
         self._due = [(self.at_s, kind.begin), (self.until_s, kind.end)]
         self.rig = Rig(self.scenario, boards)
         self.link: CanLink | SerialLink
@@ -194,8 +206,11 @@ class Trial:
             site_file.write_text(site_toml(self.scenario))
             with patch.object(session, "time", self.link), patch.object(dialogue, "time", self.link):
                 options = Options(method=Method.EACH, node=self.scenario.sensor.node)
-                with Sensor(self.link, "rig", sites.load(site_file), options) as sensor:
-                    self._watch(sensor, outcome)
+                again = True
+                while again:
+                    with Sensor(self.link, "rig", sites.load(site_file), options) as sensor:
+                        again = self._watch(sensor, outcome)
+        self._judge(self._seen, self._truth, outcome)
 
     def _tick(self) -> None:
         """Begin and end the fault when it is time."""
@@ -203,10 +218,8 @@ class Trial:
             _, happen = self._due.pop(0)
             happen(self)
 
-    def _watch(self, sensor: Sensor, outcome: Outcome) -> None:
-        """Take poses to the end, with the fault in between."""
-        seen: list[tuple[float, float, Epoch]] = []
-        truth: list[Truth] = []
+    def _watch(self, sensor: Sensor, outcome: Outcome) -> bool:
+        """Take poses to the end, with the fault in between; return whether a new host is to go on."""
         epochs = sensor.epochs()
         while self.rig.now_s < self.until_s + AFTER_S:
             try:
@@ -214,9 +227,12 @@ class Trial:
             except SystemFailure as error:
                 outcome.error = str(error)
                 break
-            truth += self.rig.truth()
-            seen.append((self.rig.now_s, self.link.latest_s, epoch))
-        self._judge(seen, truth, outcome)
+            except Killed:
+                return True
+            self._truth += self.rig.truth()
+            self._seen.append((self.rig.now_s, self.link.latest_s, epoch))
+            self.rig.advance(self.takes_s)
+        return False
 
     def _place(self, epoch: Epoch, came_s: float, truth: list[Truth]) -> FloatArray:
         """Return where the sensor was in the middle of a cycle, whose last message came at a virtual time.
