@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from tests.campaign.carried import ball
 from tests.campaign.kinds import KINDS, NOTHING, passing
 from tests.campaign.table import shown
 from tests.campaign.trial import SOUND_S, Outcome, Trial
+from tests.campaign.wire_kinds import LOOK_S, at_random, regular
 
 
 def outcome(group: str, name: str, seed: int = 1) -> Outcome:
@@ -82,6 +85,24 @@ def test_what_is_carried_is_where_it_was_carried_to():
     places = [scenario.metal_at(trial.at_s + after_s)[0].centre_m for after_s in (0.01, 2.05, 3.95)]
     np.testing.assert_allclose([place[1] for place in places], [0.4, 1.05, 0.4 + 1.3 * 3.9 / 4.0], atol=1e-9)
     assert all(np.array_equal(place[[0, 2]], places[0][[0, 2]]) for place in places)
+
+
+def test_another_master_strikes_the_wire_once_a_period_whatever_the_looks():
+    trial = SimpleNamespace(rig=SimpleNamespace(now_s=4.0), random=np.random.default_rng(3))
+    between = regular(0.0137)(trial)
+    looks = 4.0 + LOOK_S * np.arange(101)
+    found = [time_s for begin_s, end_s in pairwise(looks) for time_s in between(begin_s, end_s)]
+    assert 4.0 <= found[0] < 4.0137
+    assert found[-1] > 6.0 - 0.0137
+    np.testing.assert_allclose(np.diff(found), 0.0137, rtol=1e-9)
+
+
+def test_glitches_at_random_come_as_often_as_they_are_said_to():
+    """1,000 expected; the bounds are four standard deviations."""
+    between = at_random(50.0)(SimpleNamespace(random=np.random.default_rng(3)))
+    found = [time_s - number for number in range(20) for time_s in between(number, number + 1.0)]
+    assert abs(len(found) - 1000) < 4 * 1000**0.5
+    assert 0.0 <= min(found) < max(found) <= 1.0
 
 
 def test_the_same_seed_makes_the_same_outcome():
