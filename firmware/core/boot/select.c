@@ -156,9 +156,15 @@ static uint8_t after(select_t *select) {
     }
 }
 
+/* Whether the words of its phase may be programmed: a confirmed image is not rejected, whatever brought its slot here.
+ */
+static bool may_mark(const select_t *select) {
+    return select->phase != PHASE_LOOK && (select->phase != PHASE_REJECT || !is_confirmed(select));
+}
+
 select_step_t select_next(select_t *select) {
     while (select->phase != PHASE_DONE) { /* At most two phases without a step for each slot. */
-        if (select->phase != PHASE_LOOK && select->cursor < WORDS_A_PHASE) {
+        if (select->cursor < WORDS_A_PHASE && may_mark(select)) {
             const uint32_t slot = select->order[select->place], index = work[select->phase].index[select->cursor];
             select->cursor++;
             return (select_step_t){true, slot, index, work[select->phase].value};

@@ -13,7 +13,8 @@
  *                once more behind that: one instruction that goes wrong starts nothing that nobody has signed;
  * and it is rejected for ever, and the other one looked at, if it was tried and is not confirmed, or fails the check.
  * If all this leaves none, the newest image that is signed starts whatever became of it, since a node without any is
- * out of reach; nothing is marked then.
+ * out of reach; nothing is marked then. An instruction that goes wrong is no way there past a confirmed image: that one
+ * is never rejected, and beside it an older one does not start.
  *
  * Power lost within a word leaves cells that read now as one and now as zero. So a word that a decision rests on is
  * programmed once more, and then a second word behind it, before the decision has effect: IMAGE_SETTLED behind

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -149,11 +150,12 @@ class Node:
         else:
             self.cells.program(slot, index, value)
 
-    def boot(self) -> Choice | None:
-        """Switch on, and return what is started; None: nothing."""
+    def boot(self, upset: Callable[[Any], None] = lambda select: None) -> Choice | None:
+        """Switch on, and return what is started; None: nothing. ``upset`` spoils what the loader has in its memory."""
         self.cells.start()
         select = self._ffi.new("select_t *")
         self._lib.select_open(select, self.flash)
+        upset(select)
         for _ in range(20):
             step = self._lib.select_next(select)
             if not step.wanted:

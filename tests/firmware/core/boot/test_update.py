@@ -42,6 +42,7 @@ from tests.firmware.core.storage.flash_cells import ONES, Torn
 
 UNCONFIRMED, LENGTH = 1, 2
 IDLE, RECEIVING, PENDING_PHASE, FAILED = 0, 3, 5, 6
+REJECT_PHASE = 3
 
 
 def running_old(core, seed=1, other=True):
@@ -462,3 +463,24 @@ def test_a_new_image_is_checked_again_behind_its_mark(core):
         node.put(NEW, 1, sequence=8, pending=MARK)
         assert node.boot() == started, kind
         assert node.boot() == Choice(0, False)
+
+
+def twice(select):
+    """The store of the second slot's place is skipped: the first is looked at twice."""
+    select.order = [1, 1]
+
+
+def goes_on_rejecting(select):
+    """The store of the phase behind a rejection is skipped: the next slot is rejected, too."""
+    select.place, select.phase = 1, REJECT_PHASE
+
+
+@pytest.mark.parametrize(("upset", "started"), [(twice, None), (goes_on_rejecting, Choice(0, True))])
+def test_no_upset_leads_past_a_confirmed_image_to_an_older_one(core, upset, started):
+    """Each of these, an instruction of the image that was skipped, once started the older image."""
+    node = Node(core)
+    node.confirmed(NEW, 0, 7)
+    node.put(OLD, 1, sequence=8, pending=MARK)
+    assert node.boot(upset) == started
+    assert node.state(0) == IS_CONFIRMED
+    assert node.boot() == Choice(0, False)
