@@ -153,16 +153,22 @@ static void step_save(node_t *node) {
         return;
     }
     const storage_result_t result = storage_step(&node->storage);
-    if (result == STORAGE_BUSY) {
-        return;
+    uint32_t status;
+    switch (result) {
+    case STORAGE_KEPT:
+        status = GOLDFIELD_COMMAND_ANSWER_STATUS_OK_CHOICE;
+        break;
+    case STORAGE_RESTART:
+        status = GOLDFIELD_COMMAND_ANSWER_STATUS_OK_RESTARTS_CHOICE;
+        break;
+    case STORAGE_FAILED:
+    case STORAGE_STRANDED:
+        status = GOLDFIELD_COMMAND_ANSWER_STATUS_FLASH_FAILED_CHOICE;
+        break;
+    default:
+        return; /* Busy, or a word that is no result: the next turn tells. */
     }
-    static const uint8_t statuses[] = {
-        [STORAGE_KEPT] = GOLDFIELD_COMMAND_ANSWER_STATUS_OK_CHOICE,
-        [STORAGE_RESTART] = GOLDFIELD_COMMAND_ANSWER_STATUS_OK_RESTARTS_CHOICE,
-        [STORAGE_FAILED] = GOLDFIELD_COMMAND_ANSWER_STATUS_FLASH_FAILED_CHOICE,
-        [STORAGE_STRANDED] = GOLDFIELD_COMMAND_ANSWER_STATUS_FLASH_FAILED_CHOICE,
-    };
-    answer_command(node, node->saving, COMMAND_SAVE, statuses[result]);
+    answer_command(node, node->saving, COMMAND_SAVE, status);
     node->saving = NODE_NO_LINK;
     if (result == STORAGE_RESTART || result == STORAGE_STRANDED) {
         reset_soon(node); /* The drive is held until then. */

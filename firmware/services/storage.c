@@ -16,12 +16,8 @@ static void carry_out(storage_t *storage, const store_step_t *step) {
 }
 
 /* Whether the parameters are those of a set, if the set is one of this table. */
-static bool are_those(storage_t *storage, const parameters_t *parameters, const uint32_t *words, uint32_t count) {
-    if (count != PARAMETER_SET_WORDS) {
-        return true;
-    }
-    (void)parameter_set_write(parameters, words[1], storage->words); /* Its version stands there. */
-    return memcmp(words, storage->words, sizeof storage->words) == 0;
+static bool are_those(const parameters_t *parameters, const uint32_t *words, uint32_t count) {
+    return count != PARAMETER_SET_WORDS || parameter_set_holds(parameters, words[1], words); /* With their version. */
 }
 
 static storage_found_t load(storage_t *storage, parameters_t *parameters) {
@@ -31,7 +27,7 @@ static storage_found_t load(storage_t *storage, parameters_t *parameters) {
     uint32_t count;
     const uint32_t *const words = store_read(&storage->store, &count);
     if (words != NULL && (parameter_set_read(parameters, words, count, &found.refused) != PARAMETER_SET_LOADED ||
-                          (found.refused == 0u && !are_those(storage, parameters, words, count)))) {
+                          (found.refused == 0u && !are_those(parameters, words, count)))) {
         found.refused = 1;
     }
     return found;
@@ -55,6 +51,7 @@ storage_found_t storage_start(storage_t *storage, hal_t *hal, parameters_t *para
 
 void storage_save(storage_t *storage, const parameters_t *parameters, uint32_t version) {
     (void)parameter_set_write(parameters, version, storage->words);
+    storage->whole = parameter_set_holds(parameters, version, storage->words);
     storage->begun = false;
     storage->erased = false;
 }
@@ -66,6 +63,16 @@ static bool is_saved(const storage_t *storage) {
     return count == PARAMETER_SET_WORDS && memcmp(words, storage->words, sizeof storage->words) == 0;
 }
 
+/* The same, by other instructions: one that goes wrong lets nobody think that a set is saved. */
+static bool is_saved_again(const storage_t *storage) {
+    uint32_t count, differ = 0;
+    const uint32_t *const words = store_read(&storage->store, &count);
+    for (uint32_t i = 0; i < count && i < PARAMETER_SET_WORDS; i++) {
+        differ |= words[i] ^ storage->words[i];
+    }
+    return count == PARAMETER_SET_WORDS && differ == 0u;
+}
+
 static storage_result_t result(const storage_t *storage) {
     if (store_outcome(&storage->store) == STORE_SAVED) {
         return storage->erased ? STORAGE_RESTART : STORAGE_KEPT;
@@ -73,7 +80,7 @@ static storage_result_t result(const storage_t *storage) {
     return storage->erased ? STORAGE_STRANDED : STORAGE_FAILED;
 }
 
-storage_result_t storage_step(storage_t *storage) {
+static storage_result_t go_on(storage_t *storage) {
     for (uint32_t i = 0; i < STORAGE_WORDS_A_STEP; i++) {
         const store_step_t step = store_next(&storage->store);
         if (step.kind != STORE_NOTHING) {
@@ -81,10 +88,12 @@ storage_result_t storage_step(storage_t *storage) {
             if (step.kind == STORE_ERASE) {
                 return STORAGE_BUSY; /* The watchdog is fed, and main looks around. */
             }
+        } else if (!storage->whole) {
+            return STORAGE_FAILED;
         } else if (storage->begun) {
             return result(storage);
         } else if (is_saved(storage)) {
-            return STORAGE_KEPT;
+            return is_saved_again(storage) ? STORAGE_KEPT : STORAGE_FAILED;
         } else {
             storage->begun = store_save(&storage->store, storage->words, PARAMETER_SET_WORDS);
             if (!storage->begun) {
@@ -93,4 +102,10 @@ storage_result_t storage_step(storage_t *storage) {
         }
     }
     return STORAGE_BUSY;
+}
+
+storage_result_t storage_step(storage_t *storage) {
+    const storage_result_t found = go_on(storage);
+    storage->whole = storage->whole && found == STORAGE_BUSY; /* The next save is one only if somebody begins it. */
+    return found;
 }

@@ -32,12 +32,13 @@
 #define STORAGE_WORDS_A_STEP 32u
 #define STORAGE_MENDS        64u /* Most words that storage_start programs; a save mends the rest. */
 
+/* No other word that a register may hold in the place of a result is one. */
 typedef enum {
-    STORAGE_BUSY = 0,     /* The save is under way. */
-    STORAGE_KEPT = 1,     /* The set is kept. */
-    STORAGE_RESTART = 2,  /* It is kept, and a slot was erased for it: the chip engine is out of step (hal.h). */
-    STORAGE_FAILED = 3,   /* The flash or the store did not take it: the set before it is kept. */
-    STORAGE_STRANDED = 4, /* As STORAGE_FAILED, and a slot was erased: the chip engine is out of step. */
+    STORAGE_BUSY = 0,         /* The save is under way. */
+    STORAGE_KEPT = 0x5AC3,    /* The set is kept. */
+    STORAGE_RESTART = 0xC35A, /* It is kept, and a slot was erased for it: the chip engine is out of step (hal.h). */
+    STORAGE_FAILED = 0x3CA5,  /* Something did not take it, or it was not written down right: the one before is kept. */
+    STORAGE_STRANDED = 0xA53C, /* As STORAGE_FAILED, and a slot was erased: the chip engine is out of step. */
 } storage_result_t;
 
 /* What storage_start found. */
@@ -51,6 +52,7 @@ typedef struct {
     hal_t *hal;
     store_t store;
     uint32_t words[PARAMETER_SET_WORDS]; /* The set that is being saved. */
+    bool whole;                          /* They are those of the parameters. */
     bool begun;                          /* The store has taken the set, and what was left half done is mended. */
     bool erased;                         /* A slot was erased in this save. */
 } storage_t;

@@ -1,6 +1,7 @@
 /* parameter_set.h: all parameters of a board as words, as they are saved in flash (storage/store.h), and back.
  *
- * Calls: parameter_set_write() makes the words, and parameter_set_read() takes them over, of another image as well.
+ * Calls: parameter_set_write() makes the words, parameter_set_holds() looks whether they are right, and
+ * parameter_set_read() takes them over, of another image as well.
  *
  * The words are a mark with the number of this format, the version of the image that wrote them, and runs: a head with
  * the id of the first value, the kind and how many values follow, then these values, whose ids are successive. So an
@@ -21,6 +22,7 @@
 #ifndef GOLDFIELD_PARAMETER_SET_H
 #define GOLDFIELD_PARAMETER_SET_H
 
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -40,6 +42,11 @@ typedef enum {
 /* Write all parameters into words, of which there are PARAMETER_SET_WORDS.
  * Returns how many it has written, which is all of them. */
 uint32_t parameter_set_write(const parameters_t *parameters, uint32_t version, uint32_t *words);
+
+/* Look at PARAMETER_SET_WORDS words, one by one and to the end: an instruction that went wrong as they were written is
+ * seen.
+ * Returns whether they are what parameter_set_write() makes of the parameters. */
+bool parameter_set_holds(const parameters_t *parameters, uint32_t version, const uint32_t *words);
 
 /* Set parameters from count words. *refused tells how many values were skipped.
  * Returns what became of the set. */

@@ -146,3 +146,16 @@ def test_an_empty_set_is_good(core, parameters):
     before = write(core, parameters)
     assert read(core, parameters, words()) == (LOADED, 0)
     assert write(core, parameters) == before
+
+
+def test_each_word_that_is_not_the_parameters_own_is_seen(core, parameters):
+    ffi, lib = core
+    put(core, parameters, 0, UNSIGNED, 77)
+    written = write(core, parameters)
+    assert lib.parameter_set_holds(parameters, VERSION, ffi.new("uint32_t[]", written))
+    assert not lib.parameter_set_holds(parameters, VERSION + 1, ffi.new("uint32_t[]", written))
+    for index in range(MOST):
+        other = [word ^ (1 << index % 32 if place == index else 0) for place, word in enumerate(written)]
+        assert not lib.parameter_set_holds(parameters, VERSION, ffi.new("uint32_t[]", other)), index
+    put(core, parameters, 0, UNSIGNED, 78)
+    assert not lib.parameter_set_holds(parameters, VERSION, ffi.new("uint32_t[]", written))
