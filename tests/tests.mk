@@ -113,6 +113,12 @@ field-sync-figures: all ## Measure synchronisation by the field alone: cold star
 
 .PHONY: field-sync-figures
 
+HOLD ?=
+hold-over-figures: all ## Measure chip edges without the sync wire while crystals drift, and what boards state of them (2 minutes; HOLD="--seeds 3")
+	@OPENBLAS_NUM_THREADS=1 $(PYTHON) -m tests.bench.hold_over_figures $(HOLD)
+
+.PHONY: hold-over-figures
+
 can-sync-figures: all ## Measure timing over CAN without a sync wire: edges, hold-over, poses, 100 cold starts (several minutes)
 	@$(PYTHON) -m tests.bench.can_timing_figures
 	@$(PYTHON) -m tests.bench.can_timing_figures --boards host

@@ -18,9 +18,10 @@ LEARNT, HELD = 60, 60
 
 
 def drifting(random, cycles, ppm_per_s):
-    """Return when a master begins its cycles on the follower's clock: a steady drift, and a wander of the rate."""
+    """Return when a master begins its cycles on the follower's clock: a drift, steady or by the cycle, and a wander."""
     wander = np.cumsum(random.normal(0.0, 0.004e-6, cycles))
-    rate = random.uniform(-60e-6, 60e-6) + ppm_per_s * 1e-6 * CYCLE_S * np.arange(cycles) + wander
+    drifted = np.concatenate([[0.0], np.cumsum(np.broadcast_to(ppm_per_s, cycles)[:-1])])
+    rate = random.uniform(-60e-6, 60e-6) + 1e-6 * CYCLE_S * drifted + wander
     return random.uniform(1e6, 1e7) + np.concatenate([[0.0], np.cumsum(N * NOMINAL * (1.0 + rate))]), rate
 
 
