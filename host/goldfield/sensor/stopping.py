@@ -6,7 +6,8 @@ chips that ends early. That is more than the noise, and there is no beacon witho
 
 It is told by the field of the cycle before. With the other fields' deviations so much wider, and without the coil, the
 cycle has a pose whose uncertainty is honest. It is ``weak``, as one cycle alone does not prove that this is what
-happened; the next one tells whether the beacon is dead.
+happened; the next one tells whether the beacon is dead. As with any beacon that is left out, five must be heard: three
+fit nearly every pose.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from goldfield.locate import locate
+from goldfield.locate.exclusion import LEAST_FOR_ONE
 from goldfield.site import Site
 from goldfield.track.continuity import joined
 from goldfield.types import Explanation, Fields, Finding, FloatArray, Pose, Status
@@ -54,7 +56,7 @@ class Stopping:
             What `locate` makes of them.
         """
         before, self._before = self._before, fields if pose.status in TRUSTED else None
-        if pose.status is not Status.INCONSISTENT or before is None:
+        if pose.status is not Status.INCONSISTENT or before is None or len(fields.beacons) < LEAST_FOR_ONE:
             return pose
         if not abs((fields.time_s - before.time_s) / self._site.cycle_s - 1.0) < STEP_TOLERANCE:
             return pose

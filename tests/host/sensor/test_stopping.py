@@ -101,3 +101,20 @@ def test_nothing_is_believed_of_a_cycle_that_does_not_follow_a_sound_one():
     stopping = Stopping(SITE)
     stopping.follow(before, sound)
     assert stopping.follow(fields(1, rng, both), wrong) is wrong  # two coils at once are not one
+
+
+@pytest.mark.parametrize(("heard", "told"), [(5, True), (4, False)])
+def test_of_four_beacons_none_is_left_out(heard, told):
+    rng = np.random.default_rng(3)
+    until = np.full(8, CHIPS)
+    before = fields(0, rng, until)
+    until[0] = 500
+    after, wrong = fields(1, rng, until), replace(locate(SITE, before), status=Status.INCONSISTENT)
+    stopping = Stopping(SITE)
+    stopping.follow(some(before, heard), replace(wrong, status=Status.OK))
+    assert (stopping.follow(some(after, heard), wrong).status is Status.WEAK) == told
+
+
+def some(whole, count):
+    """The same of the first few beacons."""
+    return replace(whole, beacons=whole.beacons[:count], field_T=whole.field_T[:count], sigma_T=whole.sigma_T[:count])
