@@ -153,17 +153,17 @@ static void step_save(node_t *node) {
         return;
     }
     const storage_result_t result = storage_step(&node->storage);
-    uint32_t status;
+    uint32_t status = GOLDFIELD_COMMAND_ANSWER_STATUS_FLASH_FAILED_CHOICE;
     switch (result) {
     case STORAGE_KEPT:
-        status = GOLDFIELD_COMMAND_ANSWER_STATUS_OK_CHOICE;
-        break;
     case STORAGE_RESTART:
-        status = GOLDFIELD_COMMAND_ANSWER_STATUS_OK_RESTARTS_CHOICE;
+        if (storage_is_kept(&node->storage)) {
+            status = result == STORAGE_KEPT ? GOLDFIELD_COMMAND_ANSWER_STATUS_OK_CHOICE
+                                            : GOLDFIELD_COMMAND_ANSWER_STATUS_OK_RESTARTS_CHOICE;
+        }
         break;
     case STORAGE_FAILED:
     case STORAGE_STRANDED:
-        status = GOLDFIELD_COMMAND_ANSWER_STATUS_FLASH_FAILED_CHOICE;
         break;
     default:
         return; /* Busy, or a word that is no result: the next turn tells. */

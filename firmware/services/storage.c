@@ -107,5 +107,10 @@ static storage_result_t go_on(storage_t *storage) {
 storage_result_t storage_step(storage_t *storage) {
     const storage_result_t found = go_on(storage);
     storage->whole = storage->whole && found == STORAGE_BUSY; /* The next save is one only if somebody begins it. */
+    storage->kept = found == STORAGE_KEPT || found == STORAGE_RESTART;
     return found;
+}
+
+bool storage_is_kept(const storage_t *storage) {
+    return storage->kept;
 }

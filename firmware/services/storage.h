@@ -55,6 +55,7 @@ typedef struct {
     bool whole;                          /* They are those of the parameters. */
     bool begun;                          /* The store has taken the set, and what was left half done is mended. */
     bool erased;                         /* A slot was erased in this save. */
+    bool kept;                           /* The latest step has told that the set is kept. */
 } storage_t;
 
 /* Apply what is saved to the parameters, and finish or void what a loss of power has left half done. *hal must live for
@@ -69,5 +70,9 @@ void storage_save(storage_t *storage, const parameters_t *parameters, uint32_t v
 /* Do a part of the save; the coil drive must be off (hal.h).
  * Returns STORAGE_BUSY until it is done, then its result. */
 storage_result_t storage_step(storage_t *storage);
+
+/* Returns whether the latest step has told that the set is kept: who answers by its result asks for it a second time.
+ */
+bool storage_is_kept(const storage_t *storage);
 
 #endif
