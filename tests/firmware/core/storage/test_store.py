@@ -459,3 +459,23 @@ def test_nothing_comes_back_of_a_slot_that_is_being_erased(core):
     board.work()
     assert board.save((1,))
     assert board.start() == (1,)
+
+
+@pytest.mark.parametrize("damaged", [(), (0,), (1,), (2,), (3,), (0, 1), (0, 2), (0, 3), (1, 3), (2, 3), (0, 1, 3)])
+def test_a_slot_counts_while_two_of_three_things_before_its_records_are_whole(core, damaged):
+    """They are its mark, word 0; the erasures with their complement, words 1 and 2; and the mark of the erasure, 3."""
+    board = fresh(core)
+    assert board.save(a_set(1))
+    for index in damaged:
+        board.cells.read[0][index] ^= 0x10
+    assert board.start() == (a_set(1) if len(damaged) < 2 else None)
+
+
+def test_words_that_are_no_record_by_their_head_alone_are_none(core):
+    """CRC, commit and settled word are those of a record."""
+    board = fresh(core)
+    assert board.save((7, 8, 9))
+    for head, found in ((0x47520003, (7, 8, 9)), (0x47530003, None), (0x47420003, None)):
+        body = np.array([head, 1, 7, 8, 9], np.uint32)
+        board.cells.read[0][HEAD : HEAD + 6] = [*body.tolist(), zlib.crc32(body.tobytes())]
+        assert board.start() == found, hex(head)
