@@ -11,11 +11,13 @@ import gc
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
+from unittest.mock import patch
 
 import numpy as np
 from numpy.typing import NDArray
 
 from goldfield.locate import Locator
+from goldfield.locate.fit import Measurements
 from goldfield.site import Site
 from goldfield.types import Fields, Pose
 from tests.bench.locate_trials import Trials, fields_of
@@ -152,6 +154,26 @@ def times_s(site: Site, run: Trials, most: int) -> list[float]:
     if collects:
         gc.enable()
     return spent
+
+
+def evaluations(site: Site, run: Trials, most: int) -> list[int]:
+    """Return how often the field of all coils is evaluated at one pose for each of the first epochs, one by one.
+
+    It is what `goldfield.locate.budget` counts, in the search, the fits and the explanation of an epoch's fields.
+    """
+    locator, coils = Locator(site), len(site.beacons)
+    counted: list[int] = []
+    take = Measurements.spend
+
+    def spend(measurements: Measurements, evaluations: int, of: int) -> None:
+        counted[-1] += evaluations * of
+        take(measurements, evaluations, of)
+
+    with patch.object(Measurements, "spend", spend):
+        for epoch in fields_of(site, run)[:most]:
+            counted.append(0)
+            locator.locate(epoch)
+    return [round(fields / coils) for fields in counted]
 
 
 def _time_s(locator: Locator, epoch: Fields) -> float:

@@ -30,7 +30,7 @@ from tests.bench.integrity_adversary import TWO_SIDED, worst_faults
 from tests.bench.integrity_coils import Coils, measured
 from tests.bench.integrity_faults import SINGLE, faulty_rows, systematic, with_faults
 from tests.bench.integrity_floor import FALSE_ALARMS, fault_size, fewest_missed
-from tests.bench.integrity_outcome import outcome_of
+from tests.bench.integrity_outcome import evaluations, outcome_of
 from tests.bench.integrity_risk import per_hour, upper_limit
 from tests.bench.integrity_risk_tables import Histogram
 from tests.bench.integrity_rod import MU_0, STEEL, Material, Rod, Spheroid, dipole_tensors
@@ -228,6 +228,21 @@ def test_beacons_left_out_are_an_alarm():
 
 
 # ---- limits of a risk ----
+
+
+def test_evaluations_are_what_the_search_and_the_explanation_of_an_epoch_take():
+    """Four coils let all poses be searched, eight in the cube none; an axis that is reversed is searched for."""
+    rng = np.random.default_rng(3)
+    few, many = hall(rng, 4), cube(2e-8)
+    counted = []
+    for site, sensor in ((few, None), (many, None), (many, np.diag([1.0, 1.0, -1.0]))):
+        position = cube_positions(rng, 20)
+        run = measured(Coils.of(site, 20).field(position), position, sigma_of(site), rng, sensor)
+        counted.append(evaluations(told(site, EXACT), run, 15))
+    assert [len(each) for each in counted] == [15, 15, 15]
+    assert 5 < np.median(counted[1]) < 50 < 200 < min(counted[0])
+    assert min(counted[2]) > 200
+    assert max(max(each) for each in counted) < 25_000
 
 
 def test_upper_limits_are_the_published_ones():
