@@ -63,8 +63,8 @@ typedef struct {
 
 /* Put a fit and the tests of it into *pose; left_out, iterations and tracked stay. wrong says what is wrong with it,
  * POSE_REASON_NONE if it explains the fields; contested, that another pose explains them as well. The pose fails if
- * the measurements do not tell all six unknowns, and if nothing would be heard there: a fit of fields that no place
- * explains better than none goes off so far. The reason is then what is wrong, all the same. */
+ * the measurements do not tell all six unknowns, and if nothing would be heard there: a fit that finds no place for
+ * the fields goes off so far. The reason is then what is wrong, all the same. */
 void pose_result(pose_problem_t *problem, const pose_fit_t *fit, const pose_faults_t *faults, pose_reason_t wrong,
                  bool contested, pose_t *pose);
 

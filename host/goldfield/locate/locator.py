@@ -49,8 +49,8 @@ class Locator:
         """Locate one epoch, with no prior; bad data never raise, the status tells.
 
         - ``failed``: fewer than three beacons, fewer components than unknowns, fields that are nothing but noise
-          (`constellation.SILENCE`), no finite solution, or fields that no place explains better than one from which
-          nothing would be heard (`poses.HEARD`); position NaN.
+          (`constellation.SILENCE`), no finite solution, or one from which nothing would be heard (`poses.HEARD`);
+          position NaN.
         - ``inconsistent``: the fields do not agree with the site (`fault_statistics`) and leaving out one beacon or two
           does not clearly mend it (`integrity`), or the only solution lies outside the site's half-space.
         - ``ambiguous``: another pose explains the fields as well; it is given as ``alternative``.

@@ -26,7 +26,7 @@ NOISE = "the fields are nothing but noise: check that the beacons are on and tha
 
 NO_FIT = "no pose was found from which a fit goes on"
 
-UNHEARD = "no place fits the fields better than one so far away that no beacon would be heard there"
+UNHEARD = "no place was found for these fields at which the beacons would be heard"
 
 NOT_MENDED = (
     "no pose fits the fields, and leaving out one beacon or two does not mend it: check the site file and noise_T"

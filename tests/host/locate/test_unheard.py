@@ -1,4 +1,4 @@
-"""Fields that no place explains better than none: the fit goes off to where nothing is heard, and there is no pose."""
+"""Fields that fit no place: the fit goes off to where nothing is heard, and there is no pose."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_absurd_fields_have_no_absurd_place(name):
     assert lost
     for pose in lost:
         assert np.isnan(pose.position_m).all()
-        assert pose.reason.startswith("no place fits the fields better than one so far away")
+        assert pose.reason.startswith("no place was found for these fields at which the beacons would be heard")
         assert pose.used == tuple(beacon.id for beacon in site.beacons)
     found = np.array([pose.position_m for pose in poses if pose.status is not Status.FAILED])
     assert np.linalg.norm(found, axis=1).max() < ANY_SITE_M

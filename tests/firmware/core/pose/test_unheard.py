@@ -1,4 +1,4 @@
-"""Fields that no place explains better than none, on the sensor: no pose from which no beacon would be heard."""
+"""Fields that fit no place, on the sensor: no pose from which no beacon would be heard."""
 
 import numpy as np
 import pytest
