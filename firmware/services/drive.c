@@ -37,7 +37,8 @@ static void plan_channel(drive_t *drive, hal_plan_t *plan, uint32_t block, uint3
     for (uint32_t i = 0; i < HAL_BLOCK_CHIPS; i++) {
         const int32_t level = i < first ? 0 : levels[positions[i]];
         const int16_t set_point = current_set_point(current, level);
-        const uint32_t bridge = level > 0 ? HAL_DRIVE_POSITIVE : level < 0 ? HAL_DRIVE_NEGATIVE : HAL_DRIVE_OFF;
+        const int32_t along = set_point != 0 ? set_point : level;
+        const uint32_t bridge = along > 0 ? HAL_DRIVE_POSITIVE : along < 0 ? HAL_DRIVE_NEGATIVE : HAL_DRIVE_OFF;
         plan->set_point[channel][i] = (uint16_t)(set_point < 0 ? -set_point : set_point);
         plan->drive[i] = (uint8_t)(plan->drive[i] | bridge << HAL_DRIVE_BITS * channel);
         asked[i] = set_point;

@@ -5,7 +5,7 @@
 #define REFERENCE_MAX   4095   /* Largest set-point, counts. */
 #define KEPT_RAMPING    0.875f /* Share of the old sums that is kept block after block. */
 #define KEPT_HOLDING    0.96875f
-#define PRIOR           1.0f     /* Chips that asked for nothing and got nothing. */
+#define PRIOR           0.0625f  /* Chips that asked for nothing and got nothing. */
 #define ADAPTED         0.25f    /* Largest change of the set-point from that of a driver without error. */
 #define OFFSET_SHARE    0.1f     /* Largest offset, of the amplitude. */
 #define ONE             65536.0f /* The factor 1 with 16 fractional bits. */
@@ -87,22 +87,33 @@ void current_stop(current_t *current) {
     current->headroom_lost = false;
 }
 
+/* Returns the set-point with which a direction brings a level along it, 1/16 counts; below 0 it cannot. */
+static int32_t wanted(const current_line_t *line, int32_t along) {
+    return along * (int32_t)line->scale / CURRENT_ONE - line->shift + line->carry;
+}
+
 int16_t current_set_point(current_t *current, int32_t level) {
-    current_line_t *const line = &current->line[level < 0];
-    const uint32_t size = (uint32_t)(level < 0 ? -level : level), scale = line->scale;
-    if (size == 0 || scale == 0) {
+    const int32_t size = level < 0 ? -level : level;
+    bool negative = level < 0;
+    if (size == 0 || current->line[negative].scale == 0u) {
         return 0;
     }
-    const int32_t wanted = (int32_t)(size * scale / CURRENT_ONE) - line->shift + line->carry;
-    int32_t count = (wanted + FINE / 2) >> 4;
+    int32_t fine = wanted(&current->line[negative], size);
+    const int32_t other = fine < 0 ? wanted(&current->line[!negative], -size) : 0;
+    if (other > 0) { /* This direction's offset alone is more than the level. */
+        fine = other;
+        negative = !negative;
+    }
+    current_line_t *const line = &current->line[negative];
+    int32_t count = (fine + FINE / 2) >> 4;
     if (count < 0 || count > REFERENCE_MAX) {
         current->strayed |= count > 0;
         count = count < 0 ? 0 : REFERENCE_MAX;
         line->carry = 0;
     } else {
-        line->carry = wanted - count * FINE;
+        line->carry = fine - count * FINE;
     }
-    return (int16_t)(level < 0 ? -count : count);
+    return (int16_t)(negative ? -count : count);
 }
 
 static float within(float value, float low, float high) {
@@ -187,7 +198,7 @@ static void take_zero(current_t *current, int32_t came) {
         current->quiet++;
     }
     if (current->quiet > 1u) {
-        if (current->zeros < CURRENT_ZERO_CHIPS) {
+        if (current->zeros < CURRENT_ZERO_MEMORY) {
             current->zeros++;
         }
         current->zero += ((float)came - current->zero) / (float)current->zeros;
@@ -226,7 +237,7 @@ static bool take_driven(current_t *current, uint32_t asked, bool negative, int32
     const bool holding = current->state == CURRENT_HOLDING;
     const int32_t allowed = (expected >> SHORT_SHIFT) + SHORT_COUNTS, missing = expected - along;
     current->strayed |= holding && (missing > allowed || missing < -allowed);
-    if (!holding || missing <= allowed + (expected >> LEFT_OUT_SHIFT)) {
+    if (!holding || (asked > 0u && missing <= allowed + (expected >> LEFT_OUT_SHIFT))) {
         line->block_count++;
         line->block_asked += (int32_t)asked;
         line->block_came += along;

@@ -20,18 +20,22 @@
  * line through what was asked (s, counts of set-point) and what came in that direction (y, counts of sense) by least
  * squares, with old chips forgotten; y = gain s + offset. After every CURRENT_BLOCK_CHIPS driven chips
  *   each sum = kept * itself + that over the block, of 1, s, y, s y, s s; kept 7/8 in the ramp and 31/32 after it;
- *   gain   = (n Ssy - Ss Sy) / (n Sss - Ss Ss),   n = S1 + 1,   offset = (Sy - gain Ss) / n;
- * and a chip of level l asks for (|l| target - offset) / gain. The 1 in n is a chip that asked for nothing and got
- * nothing. A waveform whose levels all have one size, as those of one code, cannot tell an offset from a gain and need
- * not: gain = Ssy / Sss, offset = 0. The gain stays within a quarter of a driver's without error, the offset within a
- * tenth of the amplitude. The error falls to 1/e in 25 ms of the ramp and in 0.1 s later on.
+ *   gain   = (n Ssy - Ss Sy) / (n Sss - Ss Ss),   n = S1 + 1/16,   offset = (Sy - gain Ss) / n;
+ * and a chip of level l asks for (|l| target - offset) / gain. The 1/16 in n are chips that asked for nothing and got
+ * nothing: they give a direction of a single level a line, too. A waveform whose levels all have one size, as those of
+ * one code, cannot tell an offset from a gain and need not: gain = Ssy / Sss, offset = 0. The gain stays within a
+ * quarter of a driver's without error, the offset within a tenth of the amplitude. The error falls to 1/e in 25 ms of
+ * the ramp and in 0.1 s later on.
+ *   Where the offset of its direction alone is more than a level, the other direction is asked for it. Where neither
+ * can make so little the set-point is 0, and the chip does not count for the line once the ramp is over: a driver may
+ * have no offset where nothing is asked of it.
  *   A set-point is a whole count; what is lost by rounding is added to the next chip of the same direction, so that
  * amplitude and direct current are finer than a count on the mean of a few chips.
- *   The zero of the sense is the mean of what it tells while no current is asked for: before the start (current_ready:
- * CURRENT_ZERO_CHIPS chips), and in all but the first of successive chips that are not driven. A code has no such
- * chips; the zero is then that of the last time when the bridge was off. What the zero drifts from then on goes into
- * the direct current. target is the ramped amplitude: it moves by amplitude / CURRENT_RAMP_BLOCKS a block (from 0 to
- * full in 33 blocks = 1023 driven chips = 0.1 s).
+ *   The zero of the sense is the mean of what it tells while no current is asked for, over CURRENT_ZERO_MEMORY chips:
+ * before the start (current_ready: CURRENT_ZERO_CHIPS are enough), and in all but the first of successive chips that
+ * are not driven. A code has no such chips; the zero is then that of the last time when the bridge was off. What the
+ * zero drifts from then on goes into the direct current. target is the ramped amplitude: it moves by amplitude /
+ * CURRENT_RAMP_BLOCKS a block (from 0 to full in 33 blocks = 1023 driven chips = 0.1 s).
  *
  * Headroom. Where the supply cannot bring the current to what was asked before the chip ends, no set-point can: a chip
  * that falls short by an eighth does not count for the line, so that nothing winds up, and one that falls short by 1/64
@@ -66,6 +70,7 @@
 #define CURRENT_BLOCK_CHIPS    31u    /* Driven chips between two estimates of the lines. */
 #define CURRENT_RAMP_BLOCKS    33u    /* Blocks from 0 to full amplitude: 1023 driven chips, 0.1 s. */
 #define CURRENT_ZERO_CHIPS     256u   /* Chips without current before the zero counts as known: 25 ms. */
+#define CURRENT_ZERO_MEMORY    1024u  /* Chips over which it is averaged: 0.1 s. */
 #define CURRENT_OPEN_MINIMUM_A 0.125f /* Largest current asked for with which an open coil is not looked for, A. */
 #define CURRENT_MID_SCALE      2048   /* Count of the sense at 0 A, nominally. */
 #define CURRENT_ONE            16384  /* The level 1. */
@@ -109,7 +114,7 @@ typedef struct {
     current_config_t config;
     current_line_t line[2]; /* Positive, negative. */
     uint16_t chips;         /* Driven chips of the present block. */
-    uint16_t zeros, quiet;  /* Chips of which the zero is the mean, up to 256; successive chips not driven. */
+    uint16_t zeros, quiet;  /* Chips of which the zero is the mean; successive chips not driven. */
     uint16_t open_above;    /* Largest set-point with which the coil may be open, counts. */
     uint32_t open_share;    /* The open_fraction, 16 fractional bits. */
     uint8_t short_blocks;   /* Blocks for which headroom_lost is still told. */
@@ -130,8 +135,10 @@ void current_start(current_t *current);
 /* Go to CURRENT_OFF, unless there is a fault. */
 void current_stop(current_t *current);
 
-/* Returns the set-point of a chip of a level, -CURRENT_ONE..CURRENT_ONE, counts with the level's sign. Once for each
- * chip, in their order. Costs about 20 instructions. */
+/* Returns the set-point of a chip of a level, -CURRENT_ONE..CURRENT_ONE, counts with the sign of the bridge's
+ * direction: the level's, but for levels below the direct current. Once for each chip, in their order. Costs about 25
+ * instructions.
+ */
 int16_t current_set_point(current_t *current, int32_t level);
 
 /* Take a measurement, once a chip. driven tells whether the bridge is on and the chip's level is not 0; set_point is

@@ -67,10 +67,11 @@ class Drive:
         return int(np.clip(round(2048 + (current + self.offset) / SENSE + self.rng.normal(0, self.noise)), 0, 4095))
 
     def makes(self, level, set_point):
-        """Current of a set-point."""
-        gain = self.gain if level > 0.0 or self.negative_gain is None else self.negative_gain
+        """Current of a set-point: in the set-point's direction, in the level's where it is 0."""
+        along = set_point or level
+        gain = self.gain if along > 0.0 or self.negative_gain is None else self.negative_gain
         size = max(abs(set_point) * REFERENCE * gain + self.error_A, 0.0) if set_point else 0.0
-        return math.copysign(size, level) + self.dc_A if level and set_point else 0.0
+        return math.copysign(size, along) + self.dc_A if level else 0.0
 
     def sample(self, current=None):
         """One chip, with the current that the coil makes or another one; returns whether the drive goes on."""

@@ -278,6 +278,7 @@ def test_what_is_hot_stays_hot_over_a_new_configuration(core):
         (10.0, {"gain": 0.95, "error_A": 0.1}),
         (10.0, {"dc_A": 0.1}),
         (2.0, {"gain": 0.95, "negative_gain": 0.97, "error_A": -0.02, "dc_A": 0.02}),
+        (2.0, {"gain": 0.94, "negative_gain": 0.96, "error_A": 0.05, "dc_A": 0.1}),
         (12.0, {"gain": 1.05, "offset": 0.2}),
     ],
 )
@@ -293,6 +294,49 @@ def test_amplitude_and_direct_current_are_right_to_a_thousandth(core, amplitude,
     slope, intercept = drive.amplitude_and_dc()
     assert slope == pytest.approx(amplitude, rel=1e-3)
     assert abs(intercept) < 1e-3 * amplitude
+
+
+@pytest.mark.parametrize("dc", [0.1, -0.1])
+def test_each_level_is_made_by_the_direction_that_can(core, dc):
+    """A direct current of 5 % of the amplitude: smaller levels of its direction ask it of the other one."""
+    loop, _ = configure(core, 2.0, sizes=True)
+    drive = Drive(core, loop, level=sinusoid(37), dc_A=dc)
+    drive.run(6 * 2047)
+    errors, crossed = [], 0
+    for _ in range(2 * 2047):
+        level = drive.level(drive.chip)
+        assert drive.sample()
+        errors.append(drive.current - 2.0 * level if abs(level) > 1e-4 else 0.0)  # Smaller ones are 0.
+        crossed += level * drive.asked < 0.0
+        assert level * drive.asked >= 0.0 or abs(level) < 0.052
+    assert np.abs(errors).max() < 1.5 * REFERENCE
+    assert crossed > 40
+
+
+@pytest.mark.parametrize("amplitude", [2.0, 10.0])
+def test_what_is_asked_for_nothing_tells_nothing_of_the_line(core, amplitude):
+    """A driver that adds 0.1 A to whatever it is asked for but to nothing: its line is that of what it is asked."""
+    loop, _ = configure(core, amplitude, sizes=True)
+    drive = Drive(core, loop, level=sinusoid(37), error_A=0.1)
+    drive.run(12 * 2047)
+    for line in loop.line:
+        assert line.gain == pytest.approx(REFERENCE / SENSE, rel=1e-3)
+        assert line.offset == pytest.approx(0.1 / SENSE, abs=0.2)
+
+
+def test_the_zero_is_the_mean_of_1024_looks(core):
+    """A step of 16 counts has come by 1 - 1/e behind as many; whoever waits for it only needs a quarter of them."""
+    _, lib = core
+    loop, _ = configure(core, 10.0)
+    for _ in range(257):
+        assert not lib.current_ready(loop)
+        lib.current_sample(loop, False, 0, 2048)
+    assert lib.current_ready(loop)
+    for _ in range(1024):
+        lib.current_sample(loop, False, 0, 2048)
+    for _ in range(1024):
+        lib.current_sample(loop, False, 0, 2064)
+    assert loop.zero == pytest.approx(16.0 * (1.0 - math.exp(-1.0)), abs=0.02)
 
 
 def test_a_small_amplitude_is_finer_than_a_count(core):
