@@ -264,7 +264,8 @@ class Emulator:
             edge_pointer.pin_out = self._keep(
                 "void(void *, unsigned, bool, int64_t)", lambda _, pin, level, time: pin_out(pin, bool(level), time)
             )
-        settings = asdict(configuration or Configuration())
+        self.configuration = configuration or Configuration()
+        settings = asdict(self.configuration)
         if len(settings["unique_id"]) != 12:
             raise ValueError(f"a unique id has 12 bytes, not {len(settings['unique_id'])}")
         if not 1.0 <= settings["cycles_per_instruction"] <= MOST_CYCLES:

@@ -133,7 +133,7 @@ def in_force(board: Board, names: Sequence[str], time: int, node: int = 9) -> tu
         plain, _, element = name.partition("__")
         identifiers.append(PARAMETERS[plain].identifier(int(element or 0)))
         board.send_serial("PARAM_GET", {"reserved": 0}, node, identifiers[-1], time + place * MS)
-    board.run(time + (len(names) + 2) * MS)
+    board.run(time + (len(names) + 20) * MS)  # What a cycle reports may come first.
     messages = board.messages("PARAM_VALUE")[told:]
     assert [m.index for m in messages] == identifiers
     return tuple(next(v for k, v in m.signals.items() if k.startswith("value")) for m in messages)

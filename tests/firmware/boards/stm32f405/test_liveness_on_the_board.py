@@ -203,7 +203,14 @@ def test_currents_that_end_while_the_drive_is_off_leave_the_main_loop_its_time(d
 
 
 def test_a_serial_port_that_sends_no_more(driving):
-    assert_restart(driving(MASK_INTERRUPT, DMA1_STREAM3), {"serial link"})
+    """It is noticed from the first message on that is to leave."""
+    board = driving(MASK_INTERRUPT, DMA1_STREAM3)
+    board.run(INJECT + 100 * MS)  # A beacon tells its status once a cycle.
+    asked = next(time for time, _ in board.serial if time > INJECT)
+    board.run(asked + WATCHDOG + PERIOD + 100 * MS)
+    assert last_report(board) == (WATCHDOG_CAUSE, {"serial link"})
+    off = next(time for time in board.edges(PIN_ENABLE, False) if time > INJECT)
+    assert off <= asked + WATCHDOG + PERIOD + 2 * BLOCK
 
 
 @pytest.mark.parametrize(("timer", "parts"), [(4, {"coil currents"}), (2, set())])

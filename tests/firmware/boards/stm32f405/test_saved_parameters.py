@@ -61,7 +61,7 @@ def test_what_is_saved_is_in_force_after_the_restart_and_after_the_loss_of_power
     cells = board.emulator.cells()
     board.close()
     board = emulated(role, cells)
-    assert in_force(board, NAMES, 50 * MS) == NEW
+    assert in_force(board, NAMES, 150 * MS) == NEW  # At 2.5 cycles an instruction a beacon starts within 0.1 s.
     board.close()
 
 
