@@ -11,7 +11,8 @@ import pytest
 
 from tests.campaign import __main__ as command
 from tests.campaign.carried import ball
-from tests.campaign.kinds import KINDS, NOTHING, passing
+from tests.campaign.kinds import KINDS, NOTHING
+from tests.campaign.sensor_kinds import passing
 from tests.campaign.table import shown
 from tests.campaign.trial import SOUND_S, Outcome, Trial
 from tests.campaign.wire_kinds import LOOK_S, at_random, regular

@@ -1,0 +1,93 @@
+"""Kinds of faults of the common time: cut wires, other crystals, and more than one who leads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from goldfield_protocol import encode
+from hil_sim.scenario import Clock, Scenario
+from tests.campaign.trial import Kind, Trial
+from tests.campaign.wire_kinds import quiet
+
+
+def cut(board: Callable[[Trial], int], name: str) -> Kind:
+    """Return the kind by which a board no longer has the sync wire."""
+
+    def begin(trial: Trial) -> None:
+        trial.notes["board"] = board(trial)
+        trial.rig.fault(trial.notes["board"], "sync_wire_cut")
+
+    def end(trial: Trial) -> None:
+        trial.rig.fault(trial.notes["board"], "sync_wire_cut", active=False)
+
+    return Kind("time", name, begin, end)
+
+
+def comes_back(name: str, ppm: float) -> Kind:
+    """Return the kind by which the sensor is reset, and comes back with another crystal."""
+    begin = lambda trial: trial.rig.power_cycle_sensor(0.05, Clock(crystal_ppm=ppm))  # noqa: E731
+    return Kind("time", name, begin, lambda trial: trial.rig.power_cycle_sensor(0.05, Clock()))
+
+
+def second_master(name: str, ahead: int) -> Kind:
+    """Return the kind by which a stranger on the bus numbers the cycles otherwise, ten times a second."""
+
+    def begin(trial: Trial) -> None:
+        def spoil(frames: Any) -> Any:
+            signals = {"cycle": int(trial.rig.now_s * 10.0) + ahead, "chips": 1023, "chip_period": 97.75, "rank": 0}
+            trial.rig.can_write(*encode("SYNC", signals, node=77, index=0))
+            return frames
+
+        trial.link.spoil = spoil
+
+    return Kind("time", name, begin, quiet)
+
+
+def with_deputy(scenario: Scenario, at_s: float, until_s: float, random: np.random.Generator) -> Scenario:
+    """Let the second beacon be the sync master's deputy."""
+    first, second, *others = scenario.beacons
+    return replace(scenario, beacons=(first, replace(second, sync_rank=2), *others))
+
+
+def two_masters() -> Kind:
+    """Return the kind by which the sync master and its deputy start at once, the deputy with the rank of a master."""
+
+    def begin(trial: Trial) -> None:
+        off_s = float(trial.random.uniform(0.05, 0.15))
+        trial.rig.power_cycle(trial.scenario.sync_master, off_s)
+        trial.rig.power_cycle(2, off_s, sync_master=1)
+
+    return Kind("time", "two sync masters start at once", begin, plan=with_deputy, lasts_s=1.0, by_arrival=True)
+
+
+def time_of_its_own() -> Kind:
+    """Return the kind by which a beacon starts that hears nobody and nobody hears, and leads a time of its own."""
+
+    def begin(trial: Trial) -> None:
+        for fault in ("sync_wire_cut", "can_cut"):
+            trial.rig.fault(2, fault)
+        trial.rig.power_cycle(2, 0.05)
+
+    def end(trial: Trial) -> None:
+        for fault in ("sync_wire_cut", "can_cut"):
+            trial.rig.fault(2, fault, active=False)
+        trial.rig.power_cycle(2, 0.05)
+
+    return Kind("time", "a beacon has a time of its own, unheard", begin, end, with_deputy, by_arrival=True)
+
+
+TIME = [
+    cut(lambda trial: 0, "sensor's sync wire cut"),
+    cut(lambda trial: trial.follower(), "a beacon's sync wire cut"),
+    comes_back("sensor comes back 50 ppm off", 50.0),
+    comes_back("sensor comes back 400 ppm off", 400.0),
+    Kind("time", "sensor is reset", lambda trial: trial.rig.power_cycle_sensor(0.05), lasts_s=0.1),
+    Kind("time", "sensor has no power for 3 s", lambda trial: trial.rig.power_cycle_sensor(3.0)),
+    second_master("a stranger numbers the cycles", 500),
+    two_masters(),
+    time_of_its_own(),
+]
