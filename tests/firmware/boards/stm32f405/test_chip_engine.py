@@ -119,7 +119,7 @@ class Bench:
         ticks = (time_ps - self.zero_ps) / TICK_PS
         chip = bisect.bisect_right(self.starts, ticks) - 1
         ticks -= self.starts[chip]
-        if pin in (PA0, PC4) and 650 < ticks < 720:  # Of the first chip up to 20 later, as the LED is told first.
+        if pin in (PA0, PC4) and 650 < ticks < 720:  # The first chip comes up to 20 later: the LED is told first.
             return (chip * 7 % 3000 + 300.25 + (30 if pin == PC4 else 0)) * 3.3 / 4096
         if 5800 < ticks < 7700:
             if pin in (PA0, PC4):
