@@ -183,6 +183,16 @@ def behind(boot: str | Path | None, key: bytes | None, image: list[tuple[int, by
     return segments
 
 
+def _settings(configuration: Configuration) -> dict[str, Any]:
+    """Return what the engine takes; what no board can be is refused."""
+    settings = asdict(configuration)
+    if len(settings["unique_id"]) != 12:
+        raise ValueError(f"a unique id has 12 bytes, not {len(settings['unique_id'])}")
+    if not 1.0 <= settings["cycles_per_instruction"] <= MOST_CYCLES:
+        raise ValueError(f"an instruction takes 1 to {MOST_CYCLES:g} cycles, not {settings['cycles_per_instruction']}")
+    return settings
+
+
 class Emulator:
     """One board.
 
@@ -265,13 +275,7 @@ class Emulator:
                 "void(void *, unsigned, bool, int64_t)", lambda _, pin, level, time: pin_out(pin, bool(level), time)
             )
         self.configuration = configuration or Configuration()
-        settings = asdict(self.configuration)
-        if len(settings["unique_id"]) != 12:
-            raise ValueError(f"a unique id has 12 bytes, not {len(settings['unique_id'])}")
-        if not 1.0 <= settings["cycles_per_instruction"] <= MOST_CYCLES:
-            raise ValueError(
-                f"an instruction takes 1 to {MOST_CYCLES:g} cycles, not {settings['cycles_per_instruction']}"
-            )
+        settings = _settings(self.configuration)
         config = ffi.new("emulator_config_t *", {**settings, "unique_id": list(settings["unique_id"])})
         message = ffi.new("char[]", 256)
         self._board = self._library.emulator_create(config, edge_pointer, power_on_ps, message, 256)

@@ -16,10 +16,10 @@
  * What such a function calls has to be compiled into it, or it would gain nothing. */
 #if defined(__x86_64__) && defined(__GLIBC__) && !defined(__clang__)
 #define WIDE         __attribute__((target_clones("avx2", "default")))
-#define PART_OF_WIDE static inline __attribute__((always_inline))
+#define PART_OF_WIDE inline __attribute__((always_inline))
 #else
 #define WIDE
-#define PART_OF_WIDE static inline
+#define PART_OF_WIDE inline
 #endif
 
 /* Where a point is beside each coil, and what Gauss's mean starts from. */
@@ -36,7 +36,7 @@ typedef struct {
     double tau[GF_MOST_COILS]; /* Sum of 2^k c_k^2, from which the integral of the second kind follows. */
 } gf_cylinders_t;
 
-PART_OF_WIDE void enter_cylinders(const gf_coils_t *coils, const double position_m[3], gf_cylinders_t *at) {
+static PART_OF_WIDE void enter_cylinders(const gf_coils_t *coils, const double position_m[3], gf_cylinders_t *at) {
     const size_t n = coils->count;
     for (size_t i = 0; i < n; ++i) {
         const double x = position_m[0] - coils->centre_m[0][i];
@@ -71,7 +71,7 @@ PART_OF_WIDE void enter_cylinders(const gf_coils_t *coils, const double position
 }
 
 /* Gauss's arithmetic-geometric mean of all coils at once: as many steps as the worst needs. */
-PART_OF_WIDE void converge_means(size_t n, gf_cylinders_t *at) {
+static PART_OF_WIDE void converge_means(size_t n, gf_cylinders_t *at) {
     double difference = 0.0;
     for (size_t i = 0; i < n; ++i) {
         const double ratio = 1.0 - at->mean_b[i] / at->mean_a[i];
