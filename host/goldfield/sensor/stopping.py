@@ -7,7 +7,8 @@ chips that ends early. That is more than the noise, and there is no beacon witho
 It is told by the field of the cycle before. With the other fields' deviations so much wider, and without the coil, the
 cycle has a pose whose uncertainty is honest. It is ``weak``, as one cycle alone does not prove that this is what
 happened; the next one tells whether the beacon is dead. As with any beacon that is left out, five must be heard: three
-fit nearly every pose.
+fit nearly every pose. Where others lose something too, as with coils of one supply, or what is left is as much as the
+site says at that pose, it is another fault, and the cycle stays ``inconsistent``.
 """
 
 from __future__ import annotations
@@ -17,8 +18,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from goldfield.field import FieldModel
 from goldfield.locate import locate
 from goldfield.locate.exclusion import LEAST_FOR_ONE
+from goldfield.locate.rotations import matrix_of
+from goldfield.locate.sensor_axes import axes_of
 from goldfield.site import Site
 from goldfield.track.continuity import joined
 from goldfield.types import Explanation, Fields, Finding, FloatArray, Pose, Status
@@ -30,6 +34,9 @@ CLEAR_SIGMAS = 5.0
 one of 500 pairs of cycles."""
 ALIKE = 0.2
 """Largest part of the field before by which what is left may differ from a multiple of it, as by motion."""
+BY_SITE = 0.5
+"""Least part of the loss that must be one against the site's field at the pose without it, too: a sensor that walks
+away loses as much of a sound beacon's field, which is as the site says there."""
 TRUSTED = (Status.OK, Status.UNVERIFIED, Status.WEAK)
 
 
@@ -43,6 +50,9 @@ class Stopping:
 
     def __init__(self, site: Site) -> None:
         self._site = site
+        self._row = {beacon.id: row for row, beacon in enumerate(site.beacons)}
+        self._model = FieldModel(site.beacons)
+        self._axes = axes_of(site.sensor)
         self._before: Fields | None = None
 
     def follow(self, fields: Fields, pose: Pose) -> Pose:
@@ -63,17 +73,15 @@ class Stopping:
         gone = _largest_loss(fields, before)
         if gone is None:
             return pose
-        row, was_T, part = gone
-        name, others = fields.beacons[row], np.arange(len(fields.beacons)) != row
+        name, was_T, part = gone
         leak_T = was_T * math.sqrt(part * (1.0 - part) / self._site.chips)
-        rest = replace(
-            fields,
-            beacons=tuple(other for other in fields.beacons if other != name),
-            field_T=fields.field_T[others],
-            sigma_T=np.hypot(fields.sigma_T[others], leak_T),
-        )
+        rest = _without(fields, name, leak_T)
+        if name not in self._row or _largest_loss(rest, before) is not None:  # several, as of one supply
+            return pose
         one = locate(self._site, rest)
-        if one.status not in TRUSTED or one.excluded:
+        if one.status not in TRUSTED or one.excluded or len(one.used) < LEAST_FOR_ONE - 1:
+            return pose
+        if 1.0 - self._part_there(fields, name, one) < BY_SITE * (1.0 - part):
             return pose
         text = f"{name} went off after {part:.0%} of this cycle, or has as much of its current".replace("%", " %")
         return replace(
@@ -85,19 +93,35 @@ class Stopping:
             findings=(Finding(Explanation.CURRENT, (name,), text, factor=part), *one.findings),
         )
 
+    def _part_there(self, fields: Fields, name: str, pose: Pose) -> float:
+        """Return a beacon's field as a part of what the site says at a pose."""
+        now = fields.field_T[fields.beacons.index(name)]
+        if self._axes is not None:
+            now = self._axes.components(now)
+        by_site = self._model.field(pose.position_m)[self._row[name]] @ matrix_of(pose.orientation_xyzw)
+        return float(now @ by_site / (by_site @ by_site))
 
-def _largest_loss(fields: Fields, before: Fields) -> tuple[int, float, float] | None:
-    """Return the row of the field that is less by most, what it was, T, and which part is left; None if none is less.
 
-    Where a coil goes off others may seem to lose something, too: what its chips that are missing leave in them.
-    """
+def _without(fields: Fields, name: str, leak_T: float) -> Fields:
+    """Return the fields of the others, with what that of one leaves in them in their sigma."""
+    others = np.array([other != name for other in fields.beacons])
+    return replace(
+        fields,
+        beacons=tuple(other for other in fields.beacons if other != name),
+        field_T=fields.field_T[others],
+        sigma_T=np.hypot(fields.sigma_T[others], leak_T),
+    )
+
+
+def _largest_loss(fields: Fields, before: Fields) -> tuple[str, float, float] | None:
+    """Return whose field is less by most, what it was, T, and which part is left; None if none is clearly less."""
     earlier = dict(zip(before.beacons, before.field_T, strict=True))
     losses = []
     for row, name in enumerate(fields.beacons):
         part = _part_left(earlier.get(name, np.full(3, np.nan)), fields.field_T[row], float(fields.sigma_T[row]))
         if part is not None:
             was_T = float(np.linalg.norm(earlier[name]))
-            losses.append(((1.0 - part) * was_T, row, was_T, part))
+            losses.append(((1.0 - part) * was_T, name, was_T, part))
     return max(losses)[1:] if losses else None
 
 
