@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from goldfield.access.hum import hum_deviations
 from goldfield.field import FieldModel
 from goldfield.locate.chances import chdtri
+from goldfield.locate.sensor_axes import axes_of
 from goldfield.site import Site
 from goldfield.track.faults import Judgement, judged
 from goldfield.types import Explanation, Finding, FloatArray
@@ -169,7 +170,8 @@ class Witness:
         self._tolerance2_by_distance2 = np.array(
             [(0.5 * survey.axis_sd_rad) ** 2 + (survey.current_sd / 3.0) ** 2 for survey in surveys]
         )
-        self._hum2_T2 = (NEIGHBOURS * hum_deviations(site)) ** 2
+        axes = axes_of(site.sensor)  # which read the hum as they read all else
+        self._hum2_T2 = (NEIGHBOURS * hum_deviations(site) * (1.0 if axes is None else axes.noise_ratio)) ** 2
         self._wait = 0
 
     @property

@@ -52,8 +52,11 @@ def test_it_is_in_the_sigma_of_reports():
     np.testing.assert_array_equal(wider.field_T, plain.field_T)
 
 
-def poses(site, fault_m, phase, count=40):
-    """Poses of a sensor at rest in hum, of reports as a board sends them; one beacon is off by a fault."""
+def poses(site, fault_m, phase, count=40, gain=1.0):
+    """Poses of a sensor at rest in hum, of reports as a board sends them; one beacon is off by a fault.
+
+    The sensor reads a gain times the field.
+    """
     rng = np.random.default_rng(1)
     beacons = list(SOUND.beacons)
     beacons[ROW] = replace(beacons[ROW], position_m=beacons[ROW].position_m + fault_m)
@@ -64,6 +67,7 @@ def poses(site, fault_m, phase, count=40):
     locate, separator, found = location(site, Method.EACH), EpochSeparator(site), []
     for k in range(count):
         samples = clean + hum(k * SOUND.cycle_s + chips, phase) + NOISE_T * rng.normal(size=clean.shape)
+        samples *= gain
         report = Report(k, k * SOUND.cycle_s, SOUND.chips, 0, 8, True, samples.mean(axis=0), has_header=True)
         report.correlation_T = {code: codes[:, i] @ samples / SOUND.chips for i, code in enumerate(SOUND.codes)}
         found.append(locate(separator.fields(report), report))
@@ -77,6 +81,18 @@ def test_hum_that_the_site_tells_names_no_beacon(phase):
     told = poses(KNOWING, np.zeros(3), phase)
     assert not any(pose.findings for pose in told)
     assert all(pose.status is Status.OK for pose in told)
+
+
+@pytest.mark.parametrize("gain", [0.1, 8.0])
+def test_hum_is_told_in_what_an_axis_reads(gain):
+    """A sensor that reads a tenth of the field, of all in it, tells the same: its sound beacons were blamed for hum."""
+    sensor = replace(KNOWING.sensor, noise_T=gain * NOISE_T, hum_T=gain * HUM_T, axes=gain * np.eye(3))
+    scaled = replace(KNOWING, sensor=sensor)
+    for fault_m in (np.zeros(3), STEP_M):
+        plain, read = poses(KNOWING, fault_m, 1.0), poses(scaled, fault_m, 1.0, gain=gain)
+        assert [pose.findings and pose.findings[0].beacons for pose in read] == [
+            pose.findings and pose.findings[0].beacons for pose in plain
+        ]
 
 
 def test_a_beacon_that_was_moved_is_named_in_spite_of_it():
