@@ -7,7 +7,7 @@ chips that ends early. That is more than the noise, and there is no beacon witho
 It is told by the field of the cycle before. With the other fields' deviations so much wider, and without the coil, the
 cycle has a pose whose uncertainty is honest. It is ``weak``, as one cycle alone does not prove that this is what
 happened; the next one tells whether the beacon is dead. As with any beacon that is left out, five must be heard: three
-fit nearly every pose. Where others lose something too, as with coils of one supply, or what is left is as much as the
+fit nearly every pose. Where another loses as much, as with coils of one supply, or what is left is as much as the
 site says at that pose, it is another fault, and the cycle stays ``inconsistent``.
 """
 
@@ -34,6 +34,8 @@ CLEAR_SIGMAS = 5.0
 one of 500 pairs of cycles."""
 ALIKE = 0.2
 """Largest part of the field before by which what is left may differ from a multiple of it, as by motion."""
+TOGETHER = 0.5
+"""Largest part of the loss that another beacon may have lost, too, as by motion: coils of one supply lose alike."""
 BY_SITE = 0.5
 """Least part of the loss that must be one against the site's field at the pose without it, too: a sensor that walks
 away loses as much of a sound beacon's field, which is as the site says there."""
@@ -76,7 +78,7 @@ class Stopping:
         name, was_T, part = gone
         leak_T = was_T * math.sqrt(part * (1.0 - part) / self._site.chips)
         rest = _without(fields, name, leak_T)
-        if name not in self._row or _largest_loss(rest, before) is not None:  # several, as of one supply
+        if name not in self._row or _most_lost(rest, before) > TOGETHER * (1.0 - part):
             return pose
         one = locate(self._site, rest)
         if one.status not in TRUSTED or one.excluded or len(one.used) < LEAST_FOR_ONE - 1:
@@ -115,14 +117,24 @@ def _without(fields: Fields, name: str, leak_T: float) -> Fields:
 
 def _largest_loss(fields: Fields, before: Fields) -> tuple[str, float, float] | None:
     """Return whose field is less by most, what it was, T, and which part is left; None if none is clearly less."""
+    losses = _losses(fields, before)
+    return max(losses, key=lambda loss: (1.0 - loss[2]) * loss[1], default=None)
+
+
+def _most_lost(fields: Fields, before: Fields) -> float:
+    """Return the largest part that a field has lost, 0 if none is clearly less."""
+    return max((1.0 - part for *_, part in _losses(fields, before)), default=0.0)
+
+
+def _losses(fields: Fields, before: Fields) -> list[tuple[str, float, float]]:
+    """Return which fields are clearly less, what they were, T, and which part of each is left."""
     earlier = dict(zip(before.beacons, before.field_T, strict=True))
     losses = []
     for row, name in enumerate(fields.beacons):
         part = _part_left(earlier.get(name, np.full(3, np.nan)), fields.field_T[row], float(fields.sigma_T[row]))
         if part is not None:
-            was_T = float(np.linalg.norm(earlier[name]))
-            losses.append(((1.0 - part) * was_T, name, was_T, part))
-    return max(losses)[1:] if losses else None
+            losses.append((name, float(np.linalg.norm(earlier[name])), part))
+    return losses
 
 
 def _part_left(was: FloatArray, now: FloatArray, sigma_T: float) -> float | None:

@@ -87,6 +87,24 @@ def test_a_walk_past_a_sound_beacon_does_not_take_it_for_one_that_went_off():
     assert blamed <= 2
 
 
+@pytest.mark.long
+def test_a_coil_that_goes_off_is_told_on_a_walk_too():
+    """The walk makes all other fields less or more, and not by as much as the one that is gone."""
+    rng, coils, right, blamed, far = np.random.default_rng(7), Room(SITE).coils, 0, 0, []
+    for place_m in cube_positions(rng, 100):
+        turn, row, step = Rotation.random(rng=rng), int(rng.integers(8)), rng.normal(size=3)
+        there_m, drive = place_m + STEP_M * step / np.linalg.norm(step), until(CHIPS)
+        drive[int(rng.integers(1, CHIPS)) :, row] = 0.0
+        pose = one_off(of_coils(coils, place_m, turn), of_coils(coils, there_m, turn), drive, rng)
+        if pose is not None:
+            right += pose.excluded == (IDS[row],)
+            blamed += pose.excluded != (IDS[row],)
+            far.append(deviations(pose, there_m) ** 2)
+    assert right >= 12
+    assert blamed <= 1
+    assert np.sqrt(np.mean(far)) < 1.1
+
+
 @pytest.mark.parametrize("silent", [0, 1])
 def test_beacons_that_are_in_the_table_and_were_not_heard_do_not_count(silent):
     """Where one of five was not heard three would be left, which fit nearly every pose."""
