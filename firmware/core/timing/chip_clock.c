@@ -331,7 +331,8 @@ bool chip_clock_at(const chip_clock_t *clock, uint32_t chip, chip_clock_chip_t *
 }
 
 bool chip_clock_contested(const chip_clock_t *clock) {
-    return clock->tracking && clock->candidate_edges > 0u && clock->cycle - clock->edge_cycle > 1u &&
+    const int32_t without_edge = (int32_t)(clock->cycle - clock->edge_cycle); /* A message may tell of one to come. */
+    return clock->tracking && clock->candidate_edges > 0u && without_edge > 1 &&
            clock->chip - clock->candidate_chip <= clock->config.chips;
 }
 

@@ -73,7 +73,10 @@ def test_starts_with_the_link_that_is_there(made: Installation, link: str, sourc
 
 
 def test_a_noisy_wire_is_left_and_not_taken_again(made: Installation) -> None:
-    """Edges at random moments, one in 20 ms, in place of the master's."""
+    """Edges at random moments, one in 20 ms, in place of the master's.
+
+    Until the wire is left, an edge of another master might be among them: such cycles are not locked.
+    """
     made.start()
     made.run(2500 * MS)
     followers(made, wire=None)
@@ -87,7 +90,8 @@ def test_a_noisy_wire_is_left_and_not_taken_again(made: Installation) -> None:
     for node in (BEACON, LISTENER):
         assert sources(made, node)[-2:] == [BY_CAN] * 2
         assert made.counter(node, SYNC_CHANGES) == 1
-        assert set(made.locked(node, 28)) == {1}
+        assert made.locked(node, 28).count(0) <= 3
+        assert set(made.locked(node, 20)) == {1}
 
 
 def test_can_that_tells_another_time_is_not_followed_while_the_lock_holds(made: Installation) -> None:
