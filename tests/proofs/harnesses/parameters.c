@@ -50,6 +50,7 @@ void start(void) {
     uint32_t words[PARAMETER_SET_WORDS];
     const uint32_t count = parameter_set_write(&parameters, any_word(), words);
     //@ assert count == PARAMETER_SET_WORDS && \initialized(&words[0 .. PARAMETER_SET_WORDS - 1]);
+    (void)parameter_set_holds(&parameters, any_word(), words);
 }
 
 int main(void) {
