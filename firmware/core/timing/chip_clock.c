@@ -63,6 +63,13 @@ static void hold_over(chip_clock_t *clock, uint32_t cycles) {
     }
 }
 
+/* How many cycles began since the last edge: none while it is still to come, as a message may tell of a cycle before it
+ * begins. */
+static uint32_t cycles_without_edge(const chip_clock_t *clock) {
+    const int32_t cycles = (int32_t)(clock->cycle - clock->edge_cycle);
+    return cycles > 0 ? (uint32_t)cycles : 0u;
+}
+
 chip_clock_chip_t chip_clock_plan(chip_clock_t *clock) {
     clock->target += clock->period + ((uint64_t)(int64_t)clock->detune_ticks << FRACTION_BITS);
     /* The shift rounds down to whole ticks. */
@@ -84,7 +91,7 @@ chip_clock_chip_t chip_clock_plan(chip_clock_t *clock) {
     if (clock->code_chip == clock->config.chips) {
         clock->code_chip = 0;
         clock->cycle++;
-        const uint32_t missed = clock->cycle - clock->edge_cycle;
+        const uint32_t missed = cycles_without_edge(clock);
         if (clock->tracking && missed > 1u && missed <= HELD_CYCLES_MAX) {
             hold_over(clock, missed);
         }
@@ -331,8 +338,7 @@ bool chip_clock_at(const chip_clock_t *clock, uint32_t chip, chip_clock_chip_t *
 }
 
 bool chip_clock_contested(const chip_clock_t *clock) {
-    const int32_t without_edge = (int32_t)(clock->cycle - clock->edge_cycle); /* A message may tell of one to come. */
-    return clock->tracking && clock->candidate_edges > 0u && without_edge > 1 &&
+    return clock->tracking && clock->candidate_edges > 0u && cycles_without_edge(clock) > 1u &&
            clock->chip - clock->candidate_chip <= clock->config.chips;
 }
 
@@ -374,7 +380,7 @@ chip_clock_quality_t chip_clock_quality(const chip_clock_t *clock, uint32_t tick
         quality.error_ns = 0;
         return quality;
     }
-    const uint32_t cycles = clock->cycle - clock->edge_cycle;
+    const uint32_t cycles = cycles_without_edge(clock);
     if (!clock->tracking || cycles > HELD_CYCLES_MAX) {
         return quality;
     }

@@ -163,6 +163,25 @@ def test_messages_from_before_the_cycle_and_of_the_far_past(core):
     assert simulation.clock.locked
 
 
+def test_an_edge_that_is_still_to_come_is_not_long_ago(core):
+    """Each message tells of a cycle that begins 65 ms later, and from the ninth on a stranger of another one, too."""
+    ahead, span = 11_000_000, N * NOMINAL
+    own = [(3e6 + cycle * span - ahead, -ahead, 1) for cycle in range(1, 16)]
+    others = [(3e6 + (cycle + 0.25) * span, 0, 1) for cycle in range(8, 16)]
+    messages = sorted(own + others)
+    simulation = Follower(core)
+    to_come = 0
+    for _ in range(14 * CYCLE_BLOCKS):
+        simulation.serve(1, messages)
+        clock = simulation.clock
+        if clock.locked:
+            to_come += clock.edge_cycle == (clock.cycle + 1) % 2**32
+            assert simulation.lib.chip_clock_quality(clock, 168).age_us < 250_000
+            assert not simulation.lib.chip_clock_contested(clock)
+    assert to_come > 100
+    assert simulation.clock.edges_rejected >= 5
+
+
 def test_a_mark_in_a_forgotten_chip_is_refused(core):
     simulation = Follower(core)
     simulation.serve(6, [])
