@@ -31,6 +31,11 @@ motion of a hand but a fault, or a table of poses that do not follow each other.
 field, 0.5 m/s at 0.4 m 0.15; the noise alone has a root of the mean square of 4.2 sigma, all three axes."""
 
 
+def is_next(site: Site, fields: Fields, before: Fields) -> bool:
+    """Tell whether fields are of the next cycle after others."""
+    return abs((fields.time_s - before.time_s) / site.cycle_s - 1.0) < STEP_TOLERANCE
+
+
 class MotionRepair:
     """Follows the fields of one sensor.
 
@@ -56,7 +61,7 @@ class MotionRepair:
         if not self._plain or not fields.beacons:
             self._past.clear()
             return fields
-        if self._past and not self._follows(fields, self._past[-1]):
+        if self._past and not is_next(self._site, fields, self._past[-1]):
             self._past.clear()
         self._past.append(fields)
         if len(self._past) < 3:
@@ -75,10 +80,6 @@ class MotionRepair:
             return fields
         by_slope, by_bend = self._leaks_of(fields.beacons)
         return replace(fields, field_T=fields.field_T - by_slope @ (change + 0.5 * bend) - by_bend @ bend)
-
-    def _follows(self, fields: Fields, before: Fields) -> bool:
-        """Tell whether one is the next cycle after another."""
-        return abs((fields.time_s - before.time_s) / self._site.cycle_s - 1.0) < STEP_TOLERANCE
 
     def _leaks_of(self, beacons: tuple[str, ...]) -> tuple[FloatArray, FloatArray]:
         """Return what slopes and bends of all fields, a cycle and a squared cycle, do to each, shape (n, n) both."""

@@ -18,6 +18,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from goldfield.access.motion_repair import is_next
 from goldfield.field import FieldModel
 from goldfield.locate import locate
 from goldfield.locate.exclusion import LEAST_FOR_ONE
@@ -27,8 +28,6 @@ from goldfield.site import Site
 from goldfield.track.continuity import joined
 from goldfield.types import Explanation, Fields, Finding, FloatArray, Pose, Status
 
-STEP_TOLERANCE = 0.25
-"""Largest part of a cycle by which the time between two neighbours differs from one."""
 CLEAR_SIGMAS = 5.0
 """Standard deviations of its noise by which a field must have become less: by chance one of eight beacons does so in
 one of 500 pairs of cycles."""
@@ -70,7 +69,7 @@ class Stopping:
         before, self._before = self._before, fields if pose.status in TRUSTED else None
         if pose.status is not Status.INCONSISTENT or before is None or len(fields.beacons) < LEAST_FOR_ONE:
             return pose
-        if not abs((fields.time_s - before.time_s) / self._site.cycle_s - 1.0) < STEP_TOLERANCE:
+        if not is_next(self._site, fields, before):
             return pose
         gone = _largest_loss(fields, before)
         if gone is None:
