@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from goldfield.access import Separator
 from goldfield.locate import locate
+from goldfield.sensor import stopping
 from goldfield.sensor.location import location
 from goldfield.sensor.options import Method
 from goldfield.sensor.stopping import Stopping
@@ -125,3 +126,37 @@ def some(whole, silent):
     field_T = whole.field_T[:5].copy()
     field_T[5 - silent :] = np.nan
     return replace(whole, beacons=whole.beacons[:5], field_T=field_T, sigma_T=whole.sigma_T[:5])
+
+
+@pytest.fixture
+def stopped(monkeypatch):
+    """What becomes of an exact cycle in which b0 has a part of its field, and b1 its own part; the rest fits well.
+
+    ``before`` is what b0 had in the cycle before, of what the site says.
+    """
+
+    def made(part, *, before=1.0, other=1.0):
+        place_m, turn = np.mean([beacon.position_m for beacon in SITE.beacons], axis=0), Rotation.identity()
+        field_T, sigma_T = of_coils(Room(SITE).coils, place_m, turn), np.full(len(IDS), 1e-12)
+        scales = np.ones((2, len(IDS), 1))
+        scales[0, 0], scales[1, 0], scales[1, 1] = before, part, other
+        one, two = (Fields(e, e * SITE.cycle_s, IDS, scales[e] * field_T, sigma_T) for e in (0, 1))
+        pose = replace(locate(SITE, Fields(0, 0.0, IDS, field_T, SIGMA_T)), status=Status.OK)
+        monkeypatch.setattr(stopping, "locate", lambda _, rest: replace(pose, used=rest.beacons))
+        rule = Stopping(SITE)
+        rule.follow(one, pose)
+        return rule.follow(two, replace(pose, status=Status.INCONSISTENT))
+
+    return made
+
+
+@pytest.mark.parametrize(("other", "status"), [(0.76, Status.WEAK), (0.74, Status.INCONSISTENT)])
+def test_another_beacon_may_have_lost_half_as_much(stopped, other, status):
+    """Where one has half of its field, others may have lost a quarter."""
+    assert stopped(0.5, other=other).status is status
+
+
+@pytest.mark.parametrize(("part", "status"), [(0.65, Status.WEAK), (0.68, Status.INCONSISTENT)])
+def test_half_of_the_loss_must_be_one_against_the_site(stopped, part, status):
+    """A third is lost against the site of a field that was twice what the site says, and is two thirds of that now."""
+    assert stopped(part, before=2.0).status is status
