@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from goldfield_protocol import encode
-from hil_sim.scenario import Clock, Scenario
+from hil_sim.scenario import Clock
 from tests.campaign.trial import Kind, Trial
-from tests.campaign.wire_kinds import quiet
+from tests.campaign.wire_kinds import quiet, with_a_deputy
 
 
 def cut(board: Callable[[Trial], int], name: str) -> Kind:
@@ -47,12 +44,6 @@ def second_master(name: str, ahead: int) -> Kind:
     return Kind("time", name, begin, quiet)
 
 
-def with_deputy(scenario: Scenario, at_s: float, until_s: float, random: np.random.Generator) -> Scenario:
-    """Let the second beacon be the sync master's deputy."""
-    first, second, *others = scenario.beacons
-    return replace(scenario, beacons=(first, replace(second, sync_rank=2), *others))
-
-
 def two_masters() -> Kind:
     """Return the kind by which the sync master and its deputy start at once, the deputy with the rank of a master."""
 
@@ -61,7 +52,7 @@ def two_masters() -> Kind:
         trial.rig.power_cycle(trial.scenario.sync_master, off_s)
         trial.rig.power_cycle(2, off_s, sync_master=1)
 
-    return Kind("time", "two sync masters start at once", begin, plan=with_deputy, lasts_s=1.0, by_arrival=True)
+    return Kind("time", "two sync masters start at once", begin, plan=with_a_deputy, lasts_s=1.0, by_arrival=True)
 
 
 def time_of_its_own() -> Kind:
@@ -77,7 +68,7 @@ def time_of_its_own() -> Kind:
             trial.rig.fault(2, fault, active=False)
         trial.rig.power_cycle(2, 0.05)
 
-    return Kind("time", "a beacon has a time of its own, unheard", begin, end, with_deputy, by_arrival=True)
+    return Kind("time", "a beacon has a time of its own, unheard", begin, end, with_a_deputy, by_arrival=True)
 
 
 TIME = [
