@@ -8,6 +8,7 @@ from goldfield.locate import locate
 from goldfield.types import Status
 from hil_sim.bench import SimulatedBench
 from hil_sim.scenario import SCENARIOS
+from tests.hil.bound import check_at_the_bound
 from tests.hil.can_timing import LoadedBus, beacon_phases, cold_starts, sensor_phases, starve
 
 
@@ -36,14 +37,12 @@ def judge_phases(phases, beacons, edges):
 
 @pytest.mark.slow  # on emulated boards: `make test-host-boards` runs it too
 def test_poses(bench):
-    reports = bench.reports(10)
+    reports = bench.reports(20)
     assert all(r.complete and r.locked and r.chips == 1023 and r.saturated == 0 for r in reports)
     separator = EpochSeparator(bench.site)
     poses = [locate(bench.site, separator.fields(report)) for report in reports]
     assert all(pose.status is Status.OK for pose in poses)
-    truth = bench.truth()
-    errors = [np.linalg.norm(pose.position_m - truth[pose.epoch].position_m) for pose in poses]
-    assert np.sqrt(np.mean(np.square(errors))) < 0.02
+    check_at_the_bound(bench.site, poses, bench.truth())
 
 
 @pytest.fixture

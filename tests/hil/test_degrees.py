@@ -2,17 +2,16 @@
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from goldfield.access.epoch import EpochSeparator
 from goldfield.access.gold import code_matrix
 from goldfield.link.reports import Assembler
 from goldfield.locate import locate
-from goldfield.locate.uncertainty import cramer_rao_bound
 from goldfield.sensor.on_sensor import on_sensor_pose
 from goldfield_protocol import FrameDecoder, decode
 from hil_sim.bench import SimulatedBench
 from hil_sim.scenario import SCENARIOS
+from tests.hil.bound import check_at_the_bound
 
 
 def scenario(directory, degree, replacements=()):
@@ -27,11 +26,6 @@ def scenario(directory, degree, replacements=()):
     path = directory / f"degree{degree}.toml"
     path.write_text(text)
     return str(path)
-
-
-def errors(pose, truth):
-    turn = Rotation.from_quat(pose.orientation_xyzw) * Rotation.from_quat(truth.orientation_xyzw).inv()
-    return np.concatenate([pose.position_m - truth.position_m, turn.as_rotvec()])
 
 
 @pytest.mark.slow  # on emulated boards: `make test-host-boards` runs it too
@@ -61,19 +55,9 @@ def check_poses(directory, degree, kind, cycles):
     assert [report.cycle for report, *_ in found] == list(range(found[0][0].cycle, found[0][0].cycle + cycles))
     assert all(report.complete and report.locked and report.chips == 2**degree - 1 for report, *_ in found)
     assert max(code for report, *_ in found for code in report.correlation_T) == 2**degree - 1
-    bound = cramer_rao_bound(bench.site, truth[found[0][0].cycle].position_m[None])[0]
     for which in (1, 2):
-        squares = np.array([errors(row[which], truth[row[0].cycle]) ** 2 for row in found])
-        means = squares.mean(axis=0).reshape(2, 3).sum(axis=1)
-        ratio_m, ratio_rad = np.sqrt(means / np.diag(bound).reshape(2, 3).sum(axis=1))
-        bound_mm = 1e3 * np.sqrt(np.trace(bound[:3, :3]))
-        print(
-            f"degree {degree}, {kind} boards, poses of the {'host' if which == 1 else 'sensor'}: rms error over bound"
-        )
-        print(f"  {ratio_m:.3f} (position), {ratio_rad:.3f} (attitude); bound {bound_mm:.2f} mm")
-        # 3 x 40 samples, some directions much worse than others: a standard deviation of 6 to 10 %.
-        assert 0.75 < ratio_m < 1.3
-        assert 0.75 < ratio_rad < 1.3
+        print(f"degree {degree}, {kind} boards, poses of the {'host' if which == 1 else 'sensor'}:", end=" ")
+        check_at_the_bound(bench.site, [row[which] for row in found], truth)
 
 
 def test_three_hundred_cycles_a_second_on_serial_and_can(tmp_path):

@@ -12,6 +12,7 @@ from goldfield.locate.uncertainty import cramer_rao_bound
 from goldfield.sensor.on_sensor import on_sensor_pose
 from goldfield.types import Status
 from goldfield_protocol import FrameDecoder, decode
+from tests.hil.bound import check_at_the_bound
 
 CYCLES = 20
 FREEDOM = 3 * 8 - 6
@@ -65,14 +66,8 @@ def test_it_agrees_with_the_host_within_a_tenth_of_the_bound(bench, pairs):
             assert np.trace(mine) == pytest.approx(np.trace(theirs), rel=0.05)
 
 
-def test_it_is_near_the_truth(bench, pairs):
-    truth = bench.truth()
-    position = [np.linalg.norm(own.position_m - truth[own.epoch].position_m) for _, own, _ in pairs]
-    attitude = [between(own, truth[own.epoch]) for _, own, _ in pairs]
-    rms_m, rms_rad = (np.sqrt(np.mean(np.square(errors))) for errors in (position, attitude))
-    print(f"rms {1e3 * rms_m:.2f} mm, {np.degrees(rms_rad):.3f} degrees")
-    assert rms_m < 0.02
-    assert rms_rad < np.radians(2.0)
+def test_it_is_at_the_bound(bench, pairs):
+    check_at_the_bound(bench.site, [own for _, own, _ in pairs], bench.truth())
 
 
 def test_the_can_bus_carries_the_same_poses(recorded, pairs):
