@@ -4,7 +4,9 @@
 /* What may change while EN is set: EN itself, the interrupt enables and CIRC. */
 #define UNPROTECTED   (0x1Fu | CIRC)
 #define FLAG_BITS     0x0F7D0F7Du
-#define MEMORY_CYCLES 8 /* AHB cycles for an item from memory to memory. */
+#define MSIZE         (3u << 13)
+#define BURSTS        (15u << 21) /* MBURST and PBURST. */
+#define MEMORY_CYCLES 8           /* AHB cycles for an item from memory to memory. */
 
 #define STREAM_REGISTERS(n)                                                                                            \
     {"S" #n "CR", STREAM0 + n * STREAM_SIZE + SCR, 0, 0x0FEFFFFF, ACCESS_RW},                                          \
@@ -148,11 +150,28 @@ static void connect(dma_stream_t *s) {
     }
 }
 
+/* What the hardware forces when EN is set (RM0090 10.5.5, 10.5.6): direct mode has one width and single transfers,
+ * double buffers are circular, and a stream that had ended counts from what was programmed again. */
+static void force(dma_stream_t *s) {
+    uint32_t *const cr = &s->value[SCR / 4];
+    if (s->direct) {
+        *cr = (*cr & ~(MSIZE | PINCOS | BURSTS)) | field(*cr, 11, 2) << 13;
+    }
+    if (*cr & DBM) {
+        *cr |= CIRC;
+    }
+    if (s->value[SNDTR / 4] == 0) {
+        s->value[SNDTR / 4] = s->programmed;
+    }
+}
+
 static void enable(dma_stream_t *s) {
     chip_t *const chip = s->dma->model.chip;
-    const uint32_t cr = s->value[SCR / 4], fcr = s->value[SFCR / 4];
-    s->direction = field(cr, 6, 2);
+    const uint32_t fcr = s->value[SFCR / 4];
     s->direct = (fcr & 4u) == 0;
+    force(s);
+    const uint32_t cr = s->value[SCR / 4];
+    s->direction = field(cr, 6, 2);
     s->psize = 1u << field(cr, 11, 2);
     s->msize = s->direct ? s->psize : 1u << field(cr, 13, 2);
     if (!legal(s)) {
@@ -240,9 +259,16 @@ static void write_stream(dma_stream_t *s, uint32_t offset, uint32_t value) {
                           : offset == SPAR  ? "PAR"
                           : offset == SM0AR ? "M0AR"
                                             : "M1AR");
+        if ((cr & DBM) && (offset == SM0AR || offset == SM1AR)) { /* RM0090 10.3.9: the target in use. */
+            dma_disable(s);
+            dma_raise(s, TEIF);
+        }
         return;
     }
     s->value[offset / 4] = value;
+    if (offset == SNDTR) {
+        s->programmed = value;
+    }
 }
 
 static uint32_t get(model_t *model, uint32_t offset) {
@@ -278,6 +304,7 @@ static void restart(model_t *model) {
         dma_stream_t *const s = &dma->stream[i];
         dma_disable(s);
         s->fifo_count = 0;
+        s->programmed = 0;
         s->direct = true;
         interrupt(s);
         s->line = false;

@@ -29,7 +29,8 @@ typedef struct {
 
 typedef struct dma_stream {
     dma_t *dma;
-    uint32_t *value; /* The stream's six registers. */
+    uint32_t *value;     /* The stream's six registers. */
+    uint32_t programmed; /* What software last wrote to NDTR. */
     unsigned number, irq;
     bool enabled, line;
     const dma_cell_t *cell;
