@@ -212,7 +212,7 @@ static bool goes_before(const request_t *a, const request_t *b) {
     if (a->key != b->key) {
         return a->key < b->key;
     }
-    return a->node < b->node;
+    return a->node != b->node ? a->node < b->node : a->mailbox < b->mailbox;
 }
 
 static size_t arbitration_winner(can_bus_t *bus, int64_t start_ps) {

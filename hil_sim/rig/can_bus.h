@@ -18,7 +18,8 @@
  * would have ended. can_bus_delay() lets receivers hear later than the sender: transceivers and cable, .1 to .25 us
  * on a short bus. Left out: the sample point (the same for all nodes of one bit timing),
  * error-passive nodes' suspended transmission, differences of the nodes' bit clocks. Two nodes that send the same
- * identifier at once (forbidden by 10.4.2.2) are counted; the lower node goes first.
+ * identifier at once (forbidden by 10.4.2.2) are counted; the lower node goes first, of one node the lower mailbox, as
+ * bxCAN's scheduler has it (RM0090 32.7.1).
  *
  * Time of a call: in proportion to the pending requests. Memory grows with them.
  */

@@ -212,6 +212,19 @@ def test_collisions_are_counted(lib):
     assert [node for node, *_ in bus.seen] == [1, 2]
 
 
+def test_equal_identifiers_of_one_node_go_by_mailbox(lib):
+    """RM0090 32.7.1: if the identifier values are equal, the lower mailbox number is scheduled first."""
+    bus = Bus(lib)
+    bus.request(0, 0x50, 0)
+    long, short = (frame(lib, 0x100, data) for data in (b"12345678", b""))
+    lib[1].can_bus_request(bus.bus, 0, 2, long, BIT)
+    lib[1].can_bus_request(bus.bus, 0, 1, short, 2 * BIT)
+    bus.run(10**12)
+    assert [end - start for _, _, start, end, _ in bus.seen[1:]] == [
+        BIT * lib[1].can_frame_bits(sent) for sent in (short, long)
+    ]
+
+
 # ---- Bit errors and delay ----
 
 
