@@ -1,5 +1,6 @@
 /* can.c: bxCAN: registers, modes, bit timing, errors (see can.h). The network runs at 1 Mbit/s: a controller that is
- * off by more than 0.5 % hears errors only. Using what is not modelled is a violation: time-triggered mode.
+ * off by more than 0.5 % hears errors only. Using what is not modelled is a violation: time-triggered mode, and what
+ * waits for the end of a frame that has begun, as the network does not tell when one does.
  */
 #include "emulator/peripherals/can.h"
 
@@ -222,6 +223,9 @@ static void write_control(can_t *c, uint32_t word) {
     if (((old ^ word) & (INRQ | SLEEP)) == 0) {
         return;
     }
+    if ((word & ~old & (INRQ | SLEEP)) != 0) {
+        can_check_idle(c, "initialisation or sleep asked for", 0, 2);
+    }
     int64_t wait = 4 * (int64_t)c->model.chip->pclk1.period_ps;
     if ((word & (INRQ | SLEEP)) == 0) { /* To normal mode: after 11 recessive bits. */
         machine_cancel(machine, &c->mode);
@@ -267,9 +271,8 @@ static void set(model_t *model, uint32_t offset, uint32_t word) {
         break;
     case TSR:
         for (unsigned n = 0; n < 3; n++) {
-            if (word >> (8 * n) & 1u) {
-                *can_value(c, TSR) &= ~(0xFu << (8 * n));
-            }
+            /* RQCP takes the other three with it. */
+            *can_value(c, TSR) &= ~((word >> (8 * n) & 1u ? 0xFu : word >> (8 * n) & 0xEu) << (8 * n));
             if (word >> (8 * n) & 0x80u) {
                 can_withdraw(c, n, machine_now(model->machine));
             }

@@ -106,6 +106,9 @@ void can_submit(can_t *c, int64_t time_ps);
 /* The controller went off the bus: what it asked for is withdrawn, and waits for its return. */
 void can_leave_bus(can_t *c, int64_t time_ps);
 void can_withdraw(can_t *c, unsigned mailbox, int64_t time_ps);
+/* Says so if the network has a frame of these mailboxes: what is asked for (RM0090 32.7.1 ABRQ, 32.9.2 INRQ and SLEEP)
+ * waits for the end of a frame that has begun. */
+void can_check_idle(const can_t *c, const char *what, unsigned first, unsigned last);
 void can_write_mailbox(can_t *c, uint32_t offset, uint32_t word);
 uint32_t can_transmit_status(const can_t *c); /* TSR with CODE and LOW. */
 

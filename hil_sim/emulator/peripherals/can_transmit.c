@@ -139,24 +139,42 @@ void can_error_in(machine_t *machine, unsigned mailbox, int64_t time_ps) {
     can_interrupts(c);
 }
 
+/* The network has the frame. Whether it is on the bus by now only the network knows, which does not tell. */
+static bool handed_over(const mailbox_t *m) {
+    return m->submitted && m->can->number == 0 && m->retry.heap_index < 0;
+}
+
+static void take_back(const mailbox_t *m, int64_t time_ps) {
+    const board_edge_t *const edge = m->can->model.chip->edge;
+    if (handed_over(m) && edge->can_abort) {
+        edge->can_abort(edge->context, m->number, time_ps);
+    }
+}
+
+void can_check_idle(const can_t *c, const char *what, unsigned first, unsigned last) {
+    for (unsigned n = first; n <= last; n++) {
+        if (handed_over(&c->mailbox[n])) {
+            machine_violation(c->model.machine,
+                              "%s: %s while the frame of mailbox %u may be on the bus: it would wait for the frame's "
+                              "end, and this model does not know whether it has begun",
+                              model_name(&c->model), what, n);
+        }
+    }
+}
+
 void can_leave_bus(can_t *c, int64_t time_ps) {
-    const board_edge_t *const edge = c->model.chip->edge;
     for (unsigned n = 0; n < 3; n++) {
         mailbox_t *const m = &c->mailbox[n];
-        if (m->submitted && edge->can_abort && c->number == 0 && m->retry.heap_index < 0) {
-            edge->can_abort(edge->context, n, time_ps);
-        }
+        take_back(m, time_ps);
         machine_cancel(c->model.machine, &m->retry);
         m->submitted = false;
     }
 }
 
 void can_withdraw(can_t *c, unsigned n, int64_t time_ps) {
-    const board_edge_t *const edge = c->model.chip->edge;
     if (c->mailbox[n].pending) {
-        if (c->mailbox[n].submitted && edge->can_abort && c->number == 0) {
-            edge->can_abort(edge->context, n, time_ps);
-        }
+        can_check_idle(c, "abort asked for (ABRQ)", n, n);
+        take_back(&c->mailbox[n], time_ps);
         finish(c, n, 0);
     }
 }
@@ -211,12 +229,9 @@ void can_transmit_init(can_t *c) {
 }
 
 void can_transmit_restart(can_t *c) {
-    const board_edge_t *const edge = c->model.chip->edge;
     for (unsigned n = 0; n < 3; n++) {
         mailbox_t *const m = &c->mailbox[n];
-        if (m->submitted && edge->can_abort && c->number == 0 && m->retry.heap_index < 0) {
-            edge->can_abort(edge->context, n, machine_now(c->model.machine));
-        }
+        take_back(m, machine_now(c->model.machine));
         machine_cancel(c->model.machine, &m->retry);
         m->pending = m->submitted = false;
     }

@@ -213,15 +213,14 @@ def test_order_of_request(fast_chip: Bench) -> None:
     assert len(chip.edge.frames) == 3
 
 
-def test_abort(can_chip: Bench) -> None:
+def test_abort_of_what_the_network_has(can_chip: Bench) -> None:
+    """It may be on the bus, and then its outcome counts (RM0090 32.7.1): nobody knows here, so it is said."""
     chip = can_chip
     load(chip, 2, 5, b"")
     chip.write(CAN + TSR, 1 << 23)
+    chip.expect("mailbox 2 may be on the bus")
     assert chip.edge.aborts == [(2, chip.now)]
     assert chip.read(CAN + TSR) & 0x100F0000 == 0x10010000, "RQCP2 without TXOK2; TME2"
-    chip.operations.can_sent(chip.board, 2, True, chip.now)
-    chip.run(1000)
-    assert chip.read(CAN + TSR) & 0x20000 == 0
 
 
 def test_lone_node_turns_error_passive_and_tries_on(can_chip: Bench) -> None:
