@@ -8,7 +8,11 @@
 #include "emulator/peripherals/can_filter.h"
 #include "emulator/peripherals/outside.h"
 
+#include <math.h>
 #include <string.h>
+
+/* Of the 11 recessive bits that end a frame, with its interframe space, those that follow when it is valid. */
+#define REST_OF_FRAME 4
 
 static void show_fifo(can_t *c, unsigned f) {
     memcpy(can_value(c, RI0R + 16 * f), c->fifo[f][0].word, sizeof c->fifo[f][0].word);
@@ -19,7 +23,10 @@ static void store(can_t *c, unsigned f, unsigned index, const board_frame_t *fra
     unsigned count = *rf & 3u;
     received_t r = {
         .word = {frame->extended ? frame->id << 3 | 4u : frame->id << 21, (uint32_t)frame->length | index << 8, 0, 0}};
-    r.word[0] |= frame->remote ? 2u : 0;
+    if (frame->remote) { /* Its length is not shown (RM0090 32.9.3). */
+        r.word[0] |= 2u;
+        r.word[1] = index << 8;
+    }
     memcpy(&r.word[2], frame->data, 8);
     if (count == 3) {
         machine_violation(c->model.machine, "%s: FIFO %u overrun, a frame was lost (FOVR)", model_name(&c->model), f);
@@ -60,7 +67,6 @@ void can_release(can_t *c, unsigned f, uint32_t word) {
     *rf &= ~(word & 0x18u);
     if ((word & 0x20u) && (*rf & 3u) != 0) {
         *rf = (*rf & ~3u) | ((*rf & 3u) - 1);
-        *rf &= ~8u;
         c->fifo[f][0] = c->fifo[f][1];
         c->fifo[f][1] = c->fifo[f][2];
         show_fifo(c, f);
@@ -95,9 +101,9 @@ void can_frame_in(machine_t *machine, const board_frame_t *frame, int64_t time_p
     }
     if (reg(&c->model, MSR) & SLAK) {
         *can_value(c, MSR) |= WKUI;
-        if (reg(&c->model, MCR) & AWUM) {
+        if ((reg(&c->model, MCR) & (AWUM | SLEEP)) == (AWUM | SLEEP)) {
             *can_value(c, MCR) &= ~SLEEP;
-            *can_value(c, MSR) &= ~SLAK;
+            machine_schedule(machine, &c->mode, time_ps + llround(REST_OF_FRAME * 1e12 / can_bit_rate(c, false)));
         }
     } else if (can_running(c) && (reg(&c->model, BTR) & LBKM) == 0) {
         if (c->arrival.heap_index >= 0) {

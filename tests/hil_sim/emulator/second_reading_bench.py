@@ -223,7 +223,7 @@ def accept_all(chip: Bench) -> None:
 
 
 def receive(chip: Bench, identifier: int, data: bytes = b"", extended: bool = False, remote: bool = False) -> None:
-    """Another node's frame is valid now."""
+    """Another node's frame is valid now; a remote frame has the length of the data, but none."""
     frame: Any = chip.ffi.new("board_frame_t *")
     frame.id, frame.extended, frame.remote, frame.length = identifier, extended, remote, len(data)
     frame.data[0 : len(data)] = list(data)

@@ -122,7 +122,7 @@ def test_a_frame_wakes_it_up_and_is_lost(fast_chip: Bench) -> None:
     receive(fast_chip, 0x100)
     assert not fast_chip.read(CAN1 + RF0R) & FMP
     assert not fast_chip.read(CAN1 + MCR) & SLEEP
-    assert fast_chip.read(CAN1 + MSR) & WKUI
+    assert fast_chip.read(CAN1 + MSR) & (WKUI | SLAK) == WKUI | SLAK, "not yet 11 recessive bits"
     fast_chip.run(15 * BIT)
     assert not fast_chip.read(CAN1 + MSR) & SLAK
     receive(fast_chip, 0x101)

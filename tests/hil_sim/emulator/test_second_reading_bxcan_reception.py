@@ -83,6 +83,19 @@ def test_overrun_without_lock_overwrites_the_last(fast_chip: Bench) -> None:
     assert fast_chip.read(CAN1 + RF0R) == 0
 
 
+def test_full_is_software_s_to_clear(fast_chip: Bench) -> None:
+    """32.9.2 RF0R, FULL: set when three messages are stored, cleared by software; releasing one does not clear it."""
+    can_start(fast_chip)
+    accept_all(fast_chip)
+    for identifier in (1, 2, 3):
+        receive(fast_chip, identifier)
+    release(fast_chip)
+    assert fast_chip.read(CAN1 + RF0R) & (FMP | FULL) == 2 | FULL
+    fast_chip.write(CAN1 + RF0R, FULL)
+    fast_chip.run(BIT)
+    assert fast_chip.read(CAN1 + RF0R) & (FMP | FULL) == 2
+
+
 def test_overrun_with_lock_drops_the_new(fast_chip: Bench) -> None:
     """32.7.3, RFLM = 1: the most recent message is discarded, the three oldest are available; FOVR as well."""
     can_start(fast_chip, RFLM)
@@ -328,6 +341,6 @@ def test_a_remote_frame_keeps_its_flag_and_has_no_data(fast_chip: Bench) -> None
     """32.9.3 RIR RTR; RDTR: DLC is 0 in the case of a remote frame request."""
     can_start(fast_chip)
     accept_all(fast_chip)
-    receive(fast_chip, 0x123, remote=True)
+    receive(fast_chip, 0x123, b"four", remote=True)
     assert fast_chip.read(CAN1 + RI0R) == 0x123 << 21 | 2
     assert fast_chip.read(CAN1 + RI0R + 4) & 15 == 0
