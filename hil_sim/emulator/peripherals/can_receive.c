@@ -11,7 +11,7 @@
 #include <math.h>
 #include <string.h>
 
-/* Of the 11 recessive bits that end a frame, with its interframe space, those that follow when it is valid. */
+/* Bits until 11 recessive ones have passed: a frame is valid when seven of them have. */
 #define REST_OF_FRAME 4
 
 static void show_fifo(can_t *c, unsigned f) {

@@ -1,8 +1,9 @@
 """What the tests of the second reading share: converters, DMA streams and CAN, addressed as RM0090 has them.
 
-The second reading is a model test by another hand. Its expectations were written from ST's texts (the reference manual
-RM0090, the application notes, the errata ES0182) and from ISO 11898-1, before models, drivers and their own tests were
-opened; each test names its source. What the models are held against besides is in
+The second reading is a model test by another hand. Its expectations were written from ST's texts and from ISO 11898-1
+before models, drivers and their own tests were opened; each test names its source. Of the reference manual RM0090 the
+chapters of DMA, ADC and bxCAN were read whole (Rev 21), of the timers' single pages (Rev 11 and 18) and the register
+descriptions in ST's SVD, headers and HAL. What the models are held against besides is in
 ``hil_sim/emulator/peripherals/oracles.md``.
 """
 
