@@ -153,9 +153,6 @@ void can_transmit_failed(can_t *c, bool acknowledge_missing) {
     if (!acknowledge_missing || c->transmit_errors < PASSIVE) {
         c->transmit_errors += 8;
     }
-    if (acknowledge_missing && c->transmit_errors > PASSIVE) {
-        c->transmit_errors = PASSIVE;
-    }
     if (c->transmit_errors >= BUS_OFF && !c->bus_off) {
         go_off(c);
     }

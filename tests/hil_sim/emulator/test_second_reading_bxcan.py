@@ -189,7 +189,7 @@ def test_code_and_low_of_the_status(fast_chip: Bench) -> None:
 def test_a_mailbox_completes_when_its_frame_has_ended(fast_chip: Bench) -> None:
     """32.7.1: RQCP and TXOK, TME again; clearing RQCP clears TXOK; a new request clears RQCP."""
     can_start(fast_chip)
-    request(fast_chip, 0, 0x123, b"abc")
+    request(fast_chip, 0, 0x123, b"abcdefg")
     assert not empty(fast_chip, 0)
     fast_chip.run(70 * BIT)
     assert not status(fast_chip, 0) & RQCP
@@ -204,7 +204,7 @@ def test_a_mailbox_completes_when_its_frame_has_ended(fast_chip: Bench) -> None:
     assert status(fast_chip, 0) == RQCP | TXOK
     request(fast_chip, 0, 0x125)
     assert status(fast_chip, 0) == 0
-    assert fast_chip.edge.frames[0][1:4] == (0x123, False, b"abc")
+    assert fast_chip.edge.frames[0][1:4] == (0x123, False, b"abcdefg")
 
 
 def test_abort_of_what_waits(fast_chip: Bench) -> None:
@@ -320,6 +320,20 @@ def test_bit_errors_of_a_transmitter_lead_to_bus_off_above_255(fast_chip: Bench)
     fast_chip.run(3000 * BIT)
     assert fast_chip.read(CAN1 + ESR) & BOFF, "ABOM = 0: it stays until software asks (32.7.6)"
     assert len(fast_chip.edge.frames) == requests
+
+
+def test_a_missing_acknowledgement_leaves_a_passive_transmitter_where_it_is(fast_chip: Bench) -> None:
+    """ISO 11898-1, 12.1.4.2 c), exception 1: TEC is not changed then, whatever beyond the limit it has come to."""
+    can_start(fast_chip)
+    request(fast_chip, 0, 0x100)
+    for _ in range(25):
+        fast_chip.run(60 * BIT)
+        bus_error(fast_chip, 0)
+        fast_chip.run(20 * BIT)
+    assert counters(fast_chip)[0] == 200
+    fast_chip.run(60 * BIT)
+    sent(fast_chip, 0, ok=False)
+    assert counters(fast_chip)[0] == 200
 
 
 def test_abom_leaves_bus_off_after_128_times_11_bits(fast_chip: Bench) -> None:
