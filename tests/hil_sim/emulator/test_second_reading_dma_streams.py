@@ -25,6 +25,7 @@ from tests.hil_sim.emulator.second_reading_bench import (
     DMA_MODE_1,
     DMA_ON,
     EN,
+    FEIF,
     HALF_WORD,
     HTIE,
     HTIF,
@@ -38,7 +39,9 @@ from tests.hil_sim.emulator.second_reading_bench import (
     TCIE,
     TCIF,
     TEIF,
+    TO_PERIPHERAL,
     TRIPLE_SIMULTANEOUS,
+    WORD,
     all_near,
     clear_stream_flags,
     code_of_pin,
@@ -55,6 +58,7 @@ from tests.hil_sim.emulator.second_reading_bench import (
     triple,
     words,
 )
+from tests.hil_sim.emulator.timer_bench import CCR1, CNT, CR1, DIER, EGR, TIM1
 
 
 @pytest.fixture
@@ -223,3 +227,72 @@ def test_dma_moves_nothing_after_an_overrun(chip: Bench) -> None:
     start_stream(chip, DMA2, 0, HALF_WORD | MEMORY_HALF | MINC, 6, ADC_CDR, SRAM + 64)
     convert(chip)
     assert chip.read(STREAM0 + 4) == 6
+
+
+@pytest.mark.parametrize(("urgent", "first"), [(None, 2), (6, 6), (2, 2)])
+def test_the_arbiter_takes_the_priority_level_and_then_the_lower_stream(
+    chip: Bench, urgent: int | None, first: int
+) -> None:
+    """10.3.4: PL first; of equal levels the stream of the lower number.
+
+    Compares 2 and 3 of TIM1 ask streams 2 and 6 (table 44, channel 6) while the item of compare 1 is still being moved;
+    each stores the counter, which runs on.
+    """
+    for n in (3, 2, 6):
+        level = 3 << 16 if n == urgent else 0
+        start_stream(chip, DMA2, n, 6 << 25 | HALF_WORD | MEMORY_HALF | MINC | level, 1, TIM1 + CNT, SRAM + 2 * n)
+    for channel, compare in enumerate((497, 500, 500)):
+        chip.write(TIM1 + CCR1 + 4 * channel, compare)
+    chip.write(TIM1 + DIER, 7 << 9)
+    chip.write(TIM1 + CR1, 1)
+    chip.run(10 * MICROSECOND)
+    stored = {n: chip.read(SRAM + 2 * n, 2) for n in (2, 6)}
+    assert min(stored.values()) >= 500
+    assert min(stored, key=lambda n: stored[n]) == first
+
+
+def test_direct_mode_fetches_the_first_item_before_it_is_asked_for(chip: Bench) -> None:
+    """10.3.6, memory to peripheral: in direct mode the first data is preloaded as soon as the stream is enabled."""
+    for n, value in enumerate((11, 22)):
+        chip.write(SRAM + 2 * n, value, 2)
+    control = 6 << 25 | HALF_WORD | MEMORY_HALF | MINC | TO_PERIPHERAL
+    start_stream(chip, DMA2, 5, control, 2, TIM1 + CCR1)
+    chip.run(MICROSECOND)
+    for n, value in enumerate((33, 44)):
+        chip.write(SRAM + 2 * n, value, 2)
+    chip.write(TIM1 + DIER, 1 << 8)
+    seen = []
+    for _ in range(2):
+        chip.write(TIM1 + EGR, 1)
+        chip.run(MICROSECOND)
+        seen.append(chip.read(TIM1 + CCR1))
+    assert seen == [11, 44]
+
+
+def test_a_burst_that_does_not_fit_the_threshold_is_a_fifo_error(chip: Bench) -> None:
+    """10.3.12, table 49: words, a quarter full, bursts of four are forbidden: FEIF, and the stream is disabled."""
+    chip.write(STREAM0 + 0x04, 16)
+    chip.write(STREAM0 + 0x08, ADC1 + ADC_DR)
+    chip.write(STREAM0 + 0x0C, SRAM)
+    chip.write(STREAM0 + 0x14, 4)
+    chip.write(STREAM0, WORD | MEMORY_WORD | MINC | 1 << 23 | EN)
+    chip.expect("does not fit the FIFO threshold")
+    assert stream_flags(chip, DMA2, 0) & FEIF
+    assert not chip.read(STREAM0) & EN
+
+
+def test_an_early_stop_stores_what_is_in_the_fifo(chip: Bench) -> None:
+    """10.3.12, FIFO flush: what remains in the FIFO is stored when the stream is disabled, then TCIF is set."""
+    chip.write(STREAM0 + 0x04, 8)
+    chip.write(STREAM0 + 0x08, ADC1 + ADC_DR)
+    chip.write(STREAM0 + 0x0C, SRAM)
+    chip.write(STREAM0 + 0x14, 4 | 3)
+    chip.write(STREAM0, HALF_WORD | MEMORY_HALF | MINC | EN)
+    converting(chip)
+    many(chip, 3)
+    assert halves(chip, 3) == [0, 0, 0]
+    chip.change(STREAM0, 0, EN)
+    chip.run(MICROSECOND)
+    assert all(near(half, code_of_pin(32)) for half in halves(chip, 3))
+    assert stream_flags(chip, DMA2, 0) & TCIF
+    assert chip.read(STREAM0 + 4) == 5
