@@ -14,7 +14,7 @@
  * has aged, is passed over for the one before it, at last for the page, and is counted; so is what a set of another
  * image holds and this one does not take (storage_found_t).
  *
- * Wear. A set takes 1,018 words of the 4,092 of a slot: four saves fill one, and each slot is erased once in eight.
+ * Wear. A set takes 1,022 words of the 4,092 of a slot: four saves fill one, and each slot is erased once in eight.
  * With 10,000 erasures of a sector (data sheet, 5.3.12) that makes 80,000 saves. A save of what is saved already
  * writes nothing.
  *

@@ -1,10 +1,11 @@
-"""The protocol's tables as C headers: ids of parameters and counters, the firmware's own parameters, and messages."""
+"""The protocol's tables as C headers: parameters and their ids, counters, messages, and the links' bit rates."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
 from goldfield_protocol.messages import shapes
+from goldfield_protocol.rates import CAN_RATES, SERIAL_RATES
 from goldfield_protocol.table import COUNTERS, PARAMETERS, ROLES, Parameter
 
 
@@ -40,6 +41,15 @@ def table_header() -> str:
     lines += ["static const struct {", "    uint16_t id;", "    uint32_t bits;", "} parameter_defaults[] = {"]
     lines += [*defaults, "};"]
     return _guarded("PARAMETER_TABLE_H", lines)
+
+
+def rates_header() -> str:
+    """Return ``link_rates.h``: the bit rates that ``can_rate`` and ``serial_rate`` choose from."""
+    lines = ["/* Initialisers of arrays, by the parameter's value. */"]
+    for link, rates in (("CAN", CAN_RATES), ("SERIAL", SERIAL_RATES)):
+        values = ", ".join(f"{rate}u" for rate in rates)
+        lines += [f"#define {link}_RATES_COUNT {len(rates)}u", f"#define {link}_RATES {{{values}}}"]
+    return _guarded("LINK_RATES_H", lines, "rates.py")
 
 
 def messages_header() -> str:

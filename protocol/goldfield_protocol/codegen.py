@@ -1,8 +1,8 @@
-"""Generate what the firmware takes from ``goldfield.dbc`` and ``parameters.toml``.
+"""Generate what the firmware takes from ``goldfield.dbc``, ``parameters.toml`` and ``rates.py``.
 
 ``python -m goldfield_protocol.codegen DIRECTORY`` writes the packers ``goldfield.c`` and ``goldfield.h`` (cantools),
-``protocol_hash.h``, and the tables ``parameter_ids.h``, ``parameter_table.h``, ``counter_ids.h`` and
-``message_table.h``.
+``protocol_hash.h``, and the tables ``parameter_ids.h``, ``parameter_table.h``, ``counter_ids.h``,
+``message_table.h`` and ``link_rates.h``.
 """
 
 from __future__ import annotations
@@ -41,6 +41,7 @@ def generate(directory: Path) -> None:
     (directory / "parameter_table.h").write_text(c_tables.table_header())
     (directory / "counter_ids.h").write_text(c_tables.counters_header())
     (directory / "message_table.h").write_text(c_tables.messages_header())
+    (directory / "link_rates.h").write_text(c_tables.rates_header())
 
 
 if __name__ == "__main__":

@@ -5,10 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from goldfield_protocol.c_tables import table_header
+from goldfield_protocol.c_tables import rates_header, table_header
 from goldfield_protocol.messages import database
 from goldfield_protocol.parameters import COUNTERS, PARAMETERS, Kind, ParameterError, counter_name, find_id, label_of
 from goldfield_protocol.parameters_doc import page
+from goldfield_protocol.rates import CAN_RATES, SERIAL_RATES
 from goldfield_protocol.table import ROLES
 
 PAGE = Path(__file__).parents[2] / "docs" / "parameters.md"
@@ -27,7 +28,7 @@ def test_the_page_in_the_docs_is_what_the_generator_prints():
 
 def test_ids_are_in_order_and_belong_to_one_parameter():
     ids = [p.identifier(i) for p in PARAMETERS.values() for i in range(p.count)]
-    assert len(ids) == len(set(ids)) == 840
+    assert len(ids) == len(set(ids)) == 842
     assert list(PARAMETERS.values()) == sorted(PARAMETERS.values(), key=lambda p: p.first)
     assert 0 <= min(ids) < max(ids) <= 4095
     assert [c.index for c in COUNTERS] == list(range(len(COUNTERS)))
@@ -48,6 +49,16 @@ def test_a_parameter_is_well_formed(parameter):
         assert parameter.kind is Kind.UNSIGNED
         assert 1 <= parameter.excluded <= 255
         assert parameter.low < parameter.excluded < parameter.high
+
+
+@pytest.mark.parametrize(("name", "rates"), [("can_rate", CAN_RATES), ("serial_rate", SERIAL_RATES)])
+def test_each_value_of_a_rate_has_its_bits_a_second(name, rates):
+    assert (PARAMETERS[name].low, PARAMETERS[name].high) == (0, len(rates) - 1)
+    macro = name.upper() + "S"
+    assert (
+        f"#define {macro}_COUNT {len(rates)}u\n#define {macro} {{{', '.join(f'{r}u' for r in rates)}}}"
+        in rates_header()
+    )
 
 
 @pytest.mark.parametrize("text", [p.text for p in PARAMETERS.values()] + [c.text for c in COUNTERS])

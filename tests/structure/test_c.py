@@ -25,6 +25,7 @@ GENERATED = {
     "parameter_table.h",
     "counter_ids.h",
     "message_table.h",
+    "link_rates.h",
 }
 """Headers that the build makes from the protocol's tables."""
 THIRD_PARTY = "firmware/third_party/"

@@ -22,7 +22,7 @@
  * still passes the checks of parameters_set().
  *
  * Contexts: all calls come from main. An interrupt may read a value while main sets it, for a value is one word.
- * Memory: parameters_t takes 3.3 kB of RAM; the table lies in flash. Cost: a search passes over at most 41 entries,
+ * Memory: parameters_t takes 3.3 kB of RAM; the table lies in flash. Cost: a search passes over at most 43 entries,
  * which is the bound of every call on one id.
  */
 #ifndef GOLDFIELD_PARAMETERS_H

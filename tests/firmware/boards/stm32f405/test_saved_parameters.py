@@ -24,8 +24,8 @@ from tests.firmware.services.saved_flash import (
     save,
 )
 
-STEPS = 1018
-"""Words of a save that is appended: 1,012 of the set, with the record's around them and the head's mark."""
+STEPS = 1022
+"""Words of a save that is appended: 1,016 of the set, with the record's around them and the head's mark."""
 SOFTWARE, POWER_ON = 3, 0
 OLD, NEW = (17, 3.5, 0.25), (23, 4.5, 0.75)
 NAMES = ("code", "over_current", "survey__191")

@@ -52,7 +52,7 @@ def load(core, table, stored):
 
 
 def test_exactly_the_documented_parameters_exist(core, parameters):
-    assert len(TABLE) == 840
+    assert len(TABLE) == 842
     for identifier in range(4096):
         status, kind, value = getting(core, parameters, identifier)
         if identifier in TABLE:
