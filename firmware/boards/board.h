@@ -14,9 +14,10 @@
  * memory (STM32F405: 64 KB beside the 128 KB of RAM). */
 #define BOARD_CORE_MEMORY __attribute__((section(".bss.core_memory")))
 
-/* Set up clocks, pins, links and watchdog. It is called once, first of all in main(), and always returns, also on a
+/* Set up clocks, pins and watchdog. It is called once, first of all in main(), and always returns, also on a
  * crippled machine: every wait for hardware has a time-out, and hal_clock() tells what became of the clocks.
- * hal_serial_write_polled() works afterwards, whatever else failed. The chip engine stands still until
+ * hal_serial_write_polled() works afterwards, whatever else failed: at HAL_SERIAL_BAUD until hal_links_start(), for a
+ * crash. The chip engine stands still until
  * hal_chips_start(), which also sets up the converters; the coil drive is off.
  * Returns the one board of this chip. */
 hal_t *board_start(void);

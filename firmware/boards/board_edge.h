@@ -58,7 +58,10 @@ typedef struct {
  * present; earlier times act at once. */
 typedef struct board board_t;
 typedef enum { BOARD_OK = 0, BOARD_FAULT = 1 } board_status_t;
-enum { BOARD_CAN_LISTENS = 3 }; /* In place of a mailbox. */
+enum {
+    BOARD_CAN_LISTENS = 3,    /* In place of a mailbox. */
+    BOARD_CAN_BIT_S = 1000000 /* Bit rate of the CAN bus until can_rate() tells another. */
+};
 
 /* Both may be too early; INT64_MIN if nobody knows. */
 typedef struct {
@@ -86,6 +89,9 @@ typedef struct {
      * the board's own that was sending, or BOARD_CAN_LISTENS. NULL: the board counts no errors; a frame of its own then
      * fails by can_sent. */
     void (*can_error)(board_t *board, unsigned mailbox, int64_t time_ps);
+    /* The CAN bus has this bit rate from the board's present on. A board of another rate has no part in it. NULL: the
+     * board has a part in any. */
+    void (*can_rate)(board_t *board, uint32_t bit_s);
     /* Returns why the board stopped, or the violations so far; NUL-terminated, valid until the next call. */
     const char *(*report)(const board_t *board);
     /* Free the board; NULL does nothing. */

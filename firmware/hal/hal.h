@@ -177,7 +177,18 @@ typedef struct {
     uint8_t data[8]; /* The data; bytes beyond length mean nothing. */
 } hal_frame_t;
 
-#define HAL_SERIAL_BUFFER 4096u /* Bytes that may wait for the serial port: 20 ms. */
+/* Start both links at these bit rates, of the protocol's (link_rates.h). Called once, before anything else of this
+ * section. */
+void hal_links_start(hal_t *hal, uint32_t can_bit_s, uint32_t serial_baud);
+
+#define HAL_SERIAL_BAUD 2000000u /* The highest rate. */
+/* Bytes that may wait for the serial port at that rate: 20 ms. At a lower one it is so many fewer. */
+#define HAL_SERIAL_BUFFER 4096u
+
+/* Returns the bytes that may wait at a rate. */
+static inline uint32_t hal_serial_room(uint32_t baud) {
+    return (uint32_t)((uint64_t)HAL_SERIAL_BUFFER * baud / HAL_SERIAL_BAUD);
+}
 
 /* Queue bytes for the serial port, all or none. Costs one copy. Returns false if they do not fit now. */
 bool hal_serial_write(hal_t *hal, const uint8_t *bytes, size_t count);

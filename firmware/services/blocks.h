@@ -15,7 +15,7 @@
  *
  * Time from the end of the block's last chip to the first byte (8 codes, an instruction a cycle): 75 us in the sample
  * interrupt and 65 us in main (tests/firmware/apps/test_app_instructions.py). The last byte follows after 80 us a
- * message on serial, and at most 160 us on CAN.
+ * message on serial, and at most 160 us on CAN, at the highest rates.
  *
  * Memory: 3.2 kB.
  */

@@ -2,7 +2,10 @@
 
 #include <string.h>
 
+#include "link_rates.h"
 #include "protocol_hash.h"
+
+#define CAN_FAST 1000000u /* The highest rate of CAN, bits a second. */
 
 uint32_t node_count(uint32_t counted, uint32_t more) {
     return counted > UINT32_MAX - more ? UINT32_MAX : counted + more;
@@ -15,9 +18,18 @@ void node_init(node_t *node, hal_t *hal, hal_role_t role) {
     frame_decoder_init(&node->decoder);
     (void)queue_init(&node->serial, node->serial_messages, NODE_QUEUE_MESSAGES);
     (void)queue_init(&node->can, node->can_messages, NODE_QUEUE_MESSAGES);
-    node->can_us = hal_microseconds(hal);
-    bus_share_start(&node->share, node->can_us);
     access_start(&node->access, hal, &node->parameters);
+}
+
+void node_links_start(node_t *node) {
+    static const uint32_t can_rates[] = CAN_RATES, serial_rates[] = SERIAL_RATES;
+    const uint32_t can_bit_s = can_rates[parameters_unsigned(&node->parameters, PARAMETER_CAN_RATE)];
+    const uint32_t serial_baud = serial_rates[parameters_unsigned(&node->parameters, PARAMETER_SERIAL_RATE)];
+    hal_links_start(node->hal, can_bit_s, serial_baud);
+    node->can_slow = CAN_FAST / can_bit_s;
+    node->slow = CAN_FAST / (can_bit_s < serial_baud ? can_bit_s : serial_baud);
+    node->can_us = hal_microseconds(node->hal);
+    bus_share_start(&node->share, can_bit_s, node->can_us);
 }
 
 uint32_t node_identifier(const node_t *node, uint32_t message, uint32_t index) {
@@ -90,7 +102,7 @@ static inline void drain_can(node_t *node, uint64_t now_us) {
     }
     if (taken) {
         node->can_us = now_us;
-    } else if (now_us - node->can_us > NODE_CAN_GIVE_UP_US) {
+    } else if (now_us - node->can_us > (uint64_t)NODE_CAN_GIVE_UP_US * node->can_slow) {
         node->can_dead = true;
         while (queue_front(&node->can) != NULL) {
             queue_drop(&node->can);

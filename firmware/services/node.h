@@ -3,7 +3,7 @@
  * of it out.
  *
  * Calls, in the order they are made (all of them from main)
- *   1. node_init          once (upkeep_start).
+ *   1. node_init          once (upkeep_start), and node_links_start when the parameters are there.
  *   2. node_send          whenever a message is to leave; node_room tells first whether several fit together, and
  *                         node_motion_room whether those do that other boards on the bus send as well.
  *      node_flush         when what was queued cannot wait for the turn's end, at which it is node_drain (upkeep_step).
@@ -12,11 +12,14 @@
  * Links. Serial and CAN carry the same messages (protocol/framing.md). node_send() puts a message into the queue of
  * each link it is for; node_drain() hands the queues to the board. A full queue refuses the message and counts it
  * (COUNTER_MESSAGES_LOST); one link never holds up the other.
- *   latency on serial: at most 128 queued messages of 16 bytes behind 4 kB of buffer at 2 Mbaud: 31 ms;
- *   on CAN: at most 128 messages of 160 us, 21 ms, plus the frames of other nodes with lower identifiers. What no
- *     mailbox has taken for 100 ms is thrown away. It is counted as lost if others were heard meanwhile: the bus is
- *     then full. If it is dead or not there, that itself is counted (COUNTER_CAN_ERRORS). From then on one message at
- *     a time tries it.
+ *   latency on serial: at most 128 queued messages of 16 bytes behind 20 ms of the board's buffer: 31 ms at 2 Mbaud,
+ *     42, 65 and 200 ms at the lower rates;
+ *   on CAN: at most 128 messages of 160 bits, 21 ms at 1 Mbit/s and 164 ms at 125 kbit/s, plus the frames of other
+ *     nodes with lower identifiers. What no mailbox has taken for 100,000 bits is thrown away. It is counted as lost if
+ *     others were heard meanwhile: the bus is then full. If it is dead or not there, that itself is counted
+ *     (COUNTER_CAN_ERRORS). From then on one message at a time tries it.
+ *
+ * Rates. The parameters can_rate and serial_rate choose them, at the start; slow tells what waits on that account.
  *
  * Motion. Boards that send blocks or poses of blocks divide CAN among themselves (bus_share.h); they know of each other
  * by these messages. What is beyond the board's own part does not go on CAN, and neither does what would wait behind
@@ -42,8 +45,9 @@
 #define NODE_QUEUE_MESSAGES   128u     /* Messages that the queue of each link holds. */
 #define NODE_HEARTBEAT_US     1000000u /* Time from one heartbeat to the next, us. */
 #define NODE_HEARTBEAT_PLACES 99u      /* Places of a second in which a board's may be (spread.h). */
-#define NODE_CAN_GIVE_UP_US   100000u  /* Time without a message taken after which CAN counts as dead, us. */
-#define NODE_CAN_BACKLOG      32u      /* Most messages that may wait for CAN where one of the motion is added. */
+/* Time without a message taken after which CAN counts as dead, at 1 Mbit/s, us. */
+#define NODE_CAN_GIVE_UP_US 100000u
+#define NODE_CAN_BACKLOG    32u /* Most messages that may wait for CAN where one of the motion is added. */
 
 /* What a board is doing; the numbers are those of HEARTBEAT.state. */
 typedef enum {
@@ -90,6 +94,8 @@ typedef struct {
     uint64_t heartbeat_us; /* Time of the latest heartbeat (upkeep.h). */
     uint64_t can_us;       /* Latest time at which CAN took a message, or had none to take. */
     uint64_t can_heard_us; /* Latest time at which CAN brought a frame. */
+    uint32_t can_slow;     /* How many times slower CAN is than 1 Mbit/s. */
+    uint32_t slow;         /* The same of the slower link; a serial port counts from about 1 Mbaud on. */
     bus_share_t share;     /* The board's part of CAN. */
     uint32_t can_lost;     /* Messages thrown away because the bus was full. */
     bool can_dead;         /* CAN took none for too long: one message at a time is queued to try it. */
@@ -111,6 +117,9 @@ typedef struct {
 /* Make the node one that nobody has spoken to, with empty queues; its parameters and its number are not there yet. *hal
  * must live for ever. */
 void node_init(node_t *node, hal_t *hal, hal_role_t role);
+
+/* Start the links at the rates that the parameters choose. */
+void node_links_start(node_t *node);
 
 /* Queue a message of this node on the given links. message is its *_FRAME_ID of build/protocol/goldfield.h, index is
  * below 4096, data has at most 8 bytes. A message that finds a queue full is lost there, and counted. */

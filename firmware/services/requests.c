@@ -34,11 +34,12 @@ enum { ACCESS_FROM_BOARD = 0, ACCESS_TO_BOARD = 1 };
 #define NODE_LARGEST 4095u
 #define VERSION      (VERSION_MAJOR << 16 | VERSION_MINOR << 8 | VERSION_PATCH) /* As parameter_set.h wants it. */
 
-#define HALF_BYTES   (HAL_UNIQUE_ID_BYTES / 2u)
-#define BLINK_US     125000u /* Time for which the blinking LED is on, and then off. */
-#define RESET_US     50000u /* Time from the answer to the reset: the answer is out by then, behind a full queue too. */
+#define HALF_BYTES (HAL_UNIQUE_ID_BYTES / 2u)
+#define BLINK_US   125000u /* Time for which the blinking LED is on, and then off. */
+/* Time from the answer to the reset, at 1 Mbit/s: the answer is out by then, behind a full queue too. */
+#define RESET_US     50000u
 #define MICROSECONDS 1000000u
-#define LATE_STEP_US 1000u /* More than the two frames of an identity take. */
+#define LATE_STEP_US 1000u /* More than the two frames of an identity take at 1 Mbit/s. */
 #define LATE_SHIFT   58u   /* 64 such steps: one of 64 pairs of boards has the same, and another one next time. */
 
 /* ---- Identity and last reset ---- */
@@ -127,7 +128,7 @@ static void take_access(node_t *node, node_links_t link, const frame_t *frame) {
 
 static void reset_soon(node_t *node) {
     node->resetting = node->under_way = true;
-    node->reset_us = hal_microseconds(node->hal) + RESET_US;
+    node->reset_us = hal_microseconds(node->hal) + (uint64_t)RESET_US * node->slow;
 }
 
 /* Begins a save, which is answered at its end, once though it be asked for again meanwhile. */
@@ -290,7 +291,7 @@ static void answer_late(node_t *node, node_links_t *late, node_links_t link, uin
     const uint64_t now_us = hal_microseconds(node->hal);
     const uint64_t mixed = (own ^ now_us) * 0x9E3779B97F4A7C15u; /* The golden ratio of 2^64: all bits reach the top. */
     *late = (node_links_t)(*late | link);
-    node->late_us = now_us + (mixed >> LATE_SHIFT) * LATE_STEP_US;
+    node->late_us = now_us + (mixed >> LATE_SHIFT) * LATE_STEP_US * node->can_slow;
     node->under_way = true;
 }
 

@@ -34,7 +34,7 @@
  * counted as lost messages (counter 4).
  *
  * Short cycles. The degree of the codes is a parameter, read once at start. Short cycles leave little time: a report of
- * n codes is n + 3 messages, and 4 of the pose. So many codes fit without poses:
+ * n codes is n + 3 messages, and 4 of the pose. So many codes fit without poses, at the highest rates:
  *   link     a message     degree 5   degree 6   other degrees
  *   CAN      160 us           15         35         all 64
  *   serial    80 us           34         all 64     all 64

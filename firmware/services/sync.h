@@ -28,13 +28,14 @@
  *      (chip_clock_message).
  * So nothing that delays SYNC or FOLLOW_UP matters.
  *
- * Jitter. Three things differ from board to board: the receiver's time quantum (71 ns; its mean, half of it, remains
- * as an offset), what holds the stamping interrupt up (hal.h), and the cable (5 ns/m). On emulated boards with a bus
- * 62 % busy single stamps scatter by 15 ns rms (make can-sync-figures); wait states of the flash are not emulated. The
- * gains of chip_clock_link are chosen for eight times that, 20 ticks. With an oscillator that wanders by 0.02 ppm a
- * cycle (0.34 ticks a cycle in each cycle) the tracking index is 0.017, and alpha 0.17, beta 0.016 are the best
- * (Kalata 1984); 16 edges have 0.23 and 0.022, and cost less lag while crystals warm up. The error of the rate, some 1
- * tick a cycle at 20 ticks of jitter, is what 10 s of hold-over multiply by 100.
+ * Jitter. Three things differ from board to board: the receiver's time quantum (71 ns at 1 Mbit/s, 381 ns at 125
+ * kbit/s; the board takes off its mean, half of it), what holds the stamping interrupt up (hal.h), and the cable (5
+ * ns/m). On emulated boards with a bus 62 % busy single stamps scatter by 15 ns rms (make can-sync-figures); wait
+ * states of the flash are not emulated. The gains of chip_clock_link are chosen for eight times that, 20 ticks, which
+ * is what a quantum of 125 kbit/s scatters by. With an oscillator that wanders by 0.02 ppm a cycle (0.34 ticks a cycle
+ * in each cycle) the tracking index is 0.017, and alpha 0.17, beta 0.016 are the best (Kalata 1984); 16 edges have 0.23
+ * and 0.022, and cost less lag while crystals warm up. The error of the rate, some 1 tick a cycle at 20 ticks of
+ * jitter, is what 10 s of hold-over multiply by 100.
  *
  * What may go wrong
  *   SYNC or FOLLOW_UP lost, bus off  The cycle has no edge, as with a missing edge of the wire: hold-over.

@@ -163,6 +163,7 @@ void upkeep_start(node_t *node, hal_t *hal, hal_role_t role) {
         arm(&node->parameters, false); /* It was never commissioned: whatever is set later, it waits for a start. */
     }
     node->id = (uint16_t)parameters_unsigned(&node->parameters, PARAMETER_NODE);
+    node_links_start(node);
 
     frame_t hello = {.id = node_identifier(node, GOLDFIELD_HEARTBEAT_FRAME_ID, 0)};
     hello.length = pack_heartbeat(node, hello.data);

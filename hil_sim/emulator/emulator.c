@@ -94,6 +94,7 @@ const board_operations_t emulator_operations = {
     .can_in = inputs_can,
     .can_sent = inputs_can_sent,
     .can_error = inputs_can_error,
+    .can_rate = inputs_can_rate,
     .report = emulator_report,
     .destroy = emulator_destroy,
 };

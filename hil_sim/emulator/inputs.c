@@ -103,6 +103,10 @@ void inputs_can(board_t *board, const board_frame_t *frame, int64_t time_ps) {
     post(board, &(machine_input_t){.kind = INPUT_CAN, .frame = *frame}, time_ps);
 }
 
+void inputs_can_rate(board_t *board, uint32_t bit_s) {
+    can_network_in((machine_t *)board, bit_s);
+}
+
 void inputs_can_sent(board_t *board, unsigned mailbox, bool ok, int64_t time_ps) {
     post(board, &(machine_input_t){.kind = INPUT_CAN_SENT, .number = mailbox, .flag = ok}, time_ps);
 }

@@ -11,6 +11,8 @@
 void inputs_pin(board_t *board, unsigned pin, bool level, int64_t time_ps);
 void inputs_uart(board_t *board, unsigned uart, uint8_t byte, uint32_t baud, int64_t time_ps);
 void inputs_can(board_t *board, const board_frame_t *frame, int64_t time_ps);
+/* The bit rate of the network, from now on. */
+void inputs_can_rate(board_t *board, uint32_t bit_s);
 void inputs_can_sent(board_t *board, unsigned mailbox, bool ok, int64_t time_ps);
 
 void inputs_can_error(board_t *board, unsigned mailbox, int64_t time_ps);

@@ -173,6 +173,7 @@ const board_operations_t machine_bench_operations = {
     .can_in = inputs_can,
     .can_sent = inputs_can_sent,
     .can_error = inputs_can_error,
+    .can_rate = inputs_can_rate,
     .report = bench_report,
     .destroy = bench_destroy,
 };

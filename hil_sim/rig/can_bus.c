@@ -129,11 +129,16 @@ can_bus_t *can_bus_create(unsigned nodes, uint32_t bits_per_second) {
         free(joined);
         return NULL;
     }
-    *bus = (can_bus_t){.bit_ps = INT64_C(1000000000000) / bits_per_second, .nodes = nodes, .joined_ps = joined};
+    *bus = (can_bus_t){.nodes = nodes, .joined_ps = joined};
+    can_bus_rate(bus, bits_per_second);
     for (unsigned node = 0; node < nodes; ++node) {
         joined[node] = INT64_MAX;
     }
     return bus;
+}
+
+void can_bus_rate(can_bus_t *bus, uint32_t bits_per_second) {
+    bus->bit_ps = INT64_C(1000000000000) / bits_per_second;
 }
 
 void can_bus_destroy(can_bus_t *bus) {

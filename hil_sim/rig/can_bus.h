@@ -61,6 +61,8 @@ typedef struct {
 
 /* A bus of nodes 0 .. nodes - 1, of which none is there yet. Returns NULL if there is no memory. */
 can_bus_t *can_bus_create(unsigned nodes, uint32_t bits_per_second);
+/* The bits of frames that start from now on have this rate. */
+void can_bus_rate(can_bus_t *bus, uint32_t bits_per_second);
 /* bus may be NULL. */
 void can_bus_destroy(can_bus_t *bus);
 

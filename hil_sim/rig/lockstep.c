@@ -163,11 +163,28 @@ unsigned rig_stopped_board(const rig_t *rig) {
 
 /* ---- Building ---- */
 
+static bool rate_is_good(uint32_t bits_per_second) {
+    const int64_t shortest_ps = (CAN_SHORTEST_EXTENDED_BITS - 1) * (INT64_C(1000000000000) / bits_per_second);
+    return 3 * (int64_t)RIG_QUANTUM_PS <= shortest_ps;
+}
+
+bool rig_can_rate(rig_t *rig, uint32_t bits_per_second) {
+    if (!rate_is_good(bits_per_second)) {
+        return false;
+    }
+    rig->config.can_bits_per_second = bits_per_second;
+    can_bus_rate(rig->bus, bits_per_second);
+    for (unsigned board = 0; board < rig->slots; ++board) {
+        if (rig->slot[board].operations->can_rate != NULL) {
+            rig->slot[board].operations->can_rate(rig->slot[board].instance, bits_per_second);
+        }
+    }
+    return true;
+}
+
 static bool configuration_is_good(const rig_config_t *config) {
-    const int64_t shortest_ps = (CAN_SHORTEST_EXTENDED_BITS - 1) *
-                                (INT64_C(1000000000000) / config->can_bits_per_second);
     bool good = config->beacons > 0 && config->sync_master > 0 && config->sync_master <= config->beacons &&
-                config->threads > 0 && 3 * (int64_t)RIG_QUANTUM_PS <= shortest_ps;
+                config->threads > 0 && rate_is_good(config->can_bits_per_second);
     for (unsigned board = 0; board <= config->beacons; ++board) {
         good = good && config->boards[board].coils <= RIG_COILS;
     }
@@ -282,6 +299,9 @@ void rig_connect(rig_t *rig, unsigned board, board_t *instance, const board_oper
     }
     slot->instance = instance;
     slot->operations = operations;
+    if (operations->can_rate != NULL) {
+        operations->can_rate(instance, rig->config.can_bits_per_second);
+    }
     can_bus_join(rig->bus, board, power_on_ps);
     operations->pin_in(instance, BOARD_PIN_SYNC_IN, false, 0);
     if (board != RIG_SENSOR) {

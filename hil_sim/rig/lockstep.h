@@ -127,6 +127,9 @@ void rig_serial_write(rig_t *rig, unsigned board, const uint8_t *bytes, size_t c
 bool rig_can_read(rig_t *rig, can_transfer_t *transfer);
 /* The host's adapter asks to send. Returns false if it is not on the bus. */
 bool rig_can_write(rig_t *rig, const board_frame_t *frame);
+/* The bus, and the host's adapter, have another bit rate from now on. Returns false, with nothing done, for one that
+ * breaks the rule above. */
+bool rig_can_rate(rig_t *rig, uint32_t bits_per_second);
 /* Bit errors and delay of the bus from now on: see can_bus.h. */
 void rig_can_errors(rig_t *rig, double probability, uint64_t seed);
 void rig_can_corrupt(rig_t *rig, unsigned frames);

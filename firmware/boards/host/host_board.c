@@ -31,7 +31,7 @@ static void byte_sent(hal_t *hal) {
     const uint8_t byte = transmitter->bytes[transmitter->head];
     transmitter->head = (transmitter->head + 1) % HAL_SERIAL_BUFFER;
     transmitter->count--;
-    transmitter->byte_end += SERIAL_BYTE_TICKS;
+    transmitter->byte_end += transmitter->byte_ticks;
     hal->awake |= transmitter->count == 0;
     if (hal->edge.uart_out) {
         hal->edge.uart_out(hal->edge.context, SERIAL_PORT, byte, hal->now_ps);
@@ -89,8 +89,9 @@ static void pin_changed(hal_t *hal, uint32_t pin, bool level) {
     }
 }
 
-static void byte_received(hal_t *hal, uint8_t byte, bool framed) {
-    if (!framed || hal->received_count == RECEIVE_BYTES) {
+static void byte_received(hal_t *hal, uint8_t byte, uint32_t baud) {
+    const double own = hal->serial_baud;
+    if (fabs(baud - own) > 0.03 * own || hal->received_count == RECEIVE_BYTES) {
         hal->counters.serial_overruns++;
         return;
     }
@@ -106,11 +107,16 @@ static void stamp(hal_t *hal, const hal_frame_t *frame, bool sent) {
             .frame = *frame,
             .sent = sent,
             .chip = engine->chip,
-            .ticks = (uint32_t)(host_tick(hal) - engine->chip_start) + (sent ? 0u : CAN_BIT_TICKS)};
+            .ticks = (uint32_t)(host_tick(hal) - engine->chip_start) +
+                     (sent ? 0u : HAL_TICKS_PER_SECOND / hal->can_bit_s)};
     }
 }
 
 static void frame_received(hal_t *hal, const hal_frame_t *frame) {
+    if (hal->can_bit_s != hal->bus_bit_s) {
+        hal->counters.can_errors++; /* Its bits are of another length. */
+        return;
+    }
     stamp(hal, frame, false);
     if (hal->frames_count == RECEIVE_FRAMES) {
         hal->counters.can_overruns++;
@@ -149,7 +155,7 @@ static void input_take(hal_t *hal) {
         pin_changed(hal, input.number, input.level);
         break;
     case INPUT_BYTE:
-        byte_received(hal, input.byte, input.level);
+        byte_received(hal, input.byte, input.number);
         break;
     case INPUT_FRAME:
         frame_received(hal, &input.frame);
@@ -365,7 +371,7 @@ static board_ahead_t board_ahead(const board_t *board) {
     }
     const transmitter_t *transmitter = &hal->transmitter;
     const int64_t block = host_engine_change(&hal->engine);
-    const int64_t sent = transmitter->byte_end + (int64_t)(transmitter->count - 1u) * SERIAL_BYTE_TICKS;
+    const int64_t sent = transmitter->byte_end + (int64_t)(transmitter->count - 1u) * transmitter->byte_ticks;
     int64_t tick = block < hal->idle_tick ? block : hal->idle_tick;
     tick = transmitter->count > 0 && sent < tick ? sent : tick;
     ahead.asks_ps = host_time(hal, tick);
@@ -381,8 +387,7 @@ static void board_pin_in(board_t *board, unsigned pin, bool level, int64_t time_
 
 static void board_uart_in(board_t *board, unsigned uart, uint8_t byte, uint32_t baud, int64_t time_ps) {
     if (uart == SERIAL_PORT) {
-        const bool framed = fabs((double)baud - SERIAL_BAUD) <= 0.03 * SERIAL_BAUD;
-        input_add(&board->hal, (input_t){.time_ps = time_ps, .kind = INPUT_BYTE, .byte = byte, .level = framed});
+        input_add(&board->hal, (input_t){.time_ps = time_ps, .kind = INPUT_BYTE, .byte = byte, .number = baud});
     }
 }
 
@@ -396,6 +401,11 @@ static void board_can_in(board_t *board, const board_frame_t *frame, int64_t tim
 
 static void board_can_sent(board_t *board, unsigned mailbox, bool ok, int64_t time_ps) {
     input_add(&board->hal, (input_t){.time_ps = time_ps, .kind = INPUT_SENT, .number = mailbox, .level = ok});
+}
+
+static void board_can_rate(board_t *board, uint32_t bit_s) {
+    board->hal.bus_bit_s = bit_s;
+    host_can_request(&board->hal);
 }
 
 static const char *board_report(const board_t *board) {
@@ -427,6 +437,7 @@ board_t *host_board_create(const host_board_config_t *config, const board_edge_t
     hal->reset.cause = HAL_RESET_POWER_ON;
     hal->reset.counts[HAL_RESET_POWER_ON] = 1;
     hal->fault_level = true; /* The input is pulled up. */
+    hal->bus_bit_s = BOARD_CAN_BIT_S;
     memset(hal->own_flash, 0xFF, sizeof hal->own_flash);
     hal->flash = (host_flash_t){.slot = {hal->own_flash[0], hal->own_flash[1]}};
     hal->tick_q32 = (uint64_t)(4294967296.0 * 1e12 / (HAL_TICKS_PER_SECOND * (1.0 + config->crystal_ppm * 1e-6)) + 0.5);
@@ -456,6 +467,7 @@ const board_operations_t host_board_operations = {
     .uart_in = board_uart_in,
     .can_in = board_can_in,
     .can_sent = board_can_sent,
+    .can_rate = board_can_rate,
     .report = board_report,
     .destroy = board_destroy,
 };

@@ -89,13 +89,19 @@ void hal_monitor(const hal_t *hal, hal_monitor_t *monitor) {
 
 /* ---- Serial ---- */
 
+void hal_links_start(hal_t *hal, uint32_t can_bit_s, uint32_t serial_baud) {
+    hal->can_bit_s = can_bit_s;
+    hal->serial_baud = serial_baud;
+    hal->transmitter.byte_ticks = (10 * (int64_t)HAL_TICKS_PER_SECOND + serial_baud / 2u) / serial_baud;
+}
+
 bool hal_serial_write(hal_t *hal, const uint8_t *bytes, size_t count) {
     transmitter_t *transmitter = &hal->transmitter;
-    if (count > HAL_SERIAL_BUFFER - transmitter->count) {
+    if (transmitter->count + count > hal_serial_room(hal->serial_baud)) {
         return false;
     }
     if (transmitter->count == 0) {
-        transmitter->byte_end = host_tick(hal) + SERIAL_BYTE_TICKS;
+        transmitter->byte_end = host_tick(hal) + transmitter->byte_ticks;
     }
     for (size_t i = 0; i < count; i++) {
         transmitter->bytes[(transmitter->head + transmitter->count++) % HAL_SERIAL_BUFFER] = bytes[i];
@@ -125,7 +131,8 @@ size_t hal_serial_read(hal_t *hal, uint8_t *bytes, size_t capacity) {
 /* ---- CAN ---- */
 
 void host_can_request(hal_t *hal) {
-    if (hal->edge.can_request && hal->mailbox_count > 0 && !hal->dead) {
+    const bool understood = hal->can_bit_s == hal->bus_bit_s; /* Else the frame fails for ever. */
+    if (hal->edge.can_request && hal->mailbox_count > 0 && understood && !hal->dead) {
         const hal_frame_t *frame = &hal->mailbox[hal->mailbox_head];
         board_frame_t out = {.id = frame->id, .extended = true, .length = frame->length};
         memcpy(out.data, frame->data, sizeof out.data);

@@ -29,19 +29,16 @@ enum {
 };
 
 enum {
-    SERIAL_PORT = 3,       /* USART3. */
-    SERIAL_BAUD = 2000000, /* Bits a second on it. */
-    MAILBOXES = 3,         /* Mailboxes of the CAN controller. */
-    RECEIVE_BYTES = 1024,  /* Received bytes that may wait for main. */
-    RECEIVE_FRAMES = 64,   /* Received frames that may wait for main. */
-    STAMPS = 8             /* Stamped frames that may wait (hal.h). */
+    SERIAL_PORT = 3,      /* USART3. */
+    MAILBOXES = 3,        /* Mailboxes of the CAN controller. */
+    RECEIVE_BYTES = 1024, /* Received bytes that may wait for main. */
+    RECEIVE_FRAMES = 64,  /* Received frames that may wait for main. */
+    STAMPS = 8            /* Stamped frames that may wait (hal.h). */
 };
 
 /* Durations in ticks of the 168 MHz timer. The converters run at 21 MHz, 8 ticks a clock; they sample for 15 clocks
  * and convert for 12. */
 enum {
-    SERIAL_BYTE_TICKS = 840,        /* A byte of ten bits of 84 ticks. */
-    CAN_BIT_TICKS = 168,            /* A bit on CAN, 1 us. */
     SAMPLE_TICKS = 15 * 8,          /* Time from the start of a conversion to the end of its sampling. */
     CONVERSION_TICKS = 27 * 8,      /* A whole conversion. */
     EDGE_TICKS = HAL_EDGE_US * 168, /* Time from a chip's start to the sampling of the currents behind its edge. */
@@ -57,8 +54,8 @@ typedef enum { INPUT_PIN, INPUT_BYTE, INPUT_FRAME, INPUT_SENT } input_kind_t;
 typedef struct {
     int64_t time_ps;
     input_kind_t kind;
-    uint32_t number; /* The pin or mailbox. */
-    bool level;      /* The pin's level; the mailbox's success; the byte's framing is right. */
+    uint32_t number; /* The pin or mailbox; the byte's bit rate. */
+    bool level;      /* The pin's level; the mailbox's success. */
     uint8_t byte;
     hal_frame_t frame;
 } input_t;
@@ -94,6 +91,7 @@ typedef struct {
     uint8_t bytes[HAL_SERIAL_BUFFER];
     uint32_t head, count; /* The first byte that waits, and how many wait. */
     int64_t byte_end;     /* The tick at which the byte at the head has left. */
+    int64_t byte_ticks;   /* Length of a byte, ten bits. */
 } transmitter_t;
 
 struct hal {
@@ -106,8 +104,11 @@ struct hal {
     int64_t tick_ps, tick; /* A time and its tick: as a rule the present, which is asked for again and again. */
     bool reset_wanted;     /* The application has asked for a reset, which comes at the end of its turn. */
     bool awake;            /* There was an interrupt since the main loop last ran. */
-    int64_t idle_tick;     /* The latest end of the present sleep. */
-    int64_t kick_tick;     /* The watchdog was last kicked. */
+    uint32_t serial_baud;  /* The board's rates; 0 until its links start. */
+    uint32_t can_bit_s;
+    uint32_t bus_bit_s; /* Bit rate of the bus that the board is on. */
+    int64_t idle_tick;  /* The latest end of the present sleep. */
+    int64_t kick_tick;  /* The watchdog was last kicked. */
     bool failed[HOST_FAILURES];
     engine_t engine;
     bool pin_out[64];             /* The levels that the outside has been told, */

@@ -105,9 +105,13 @@ hal_t *board_start(void) {
     clock_start_tick(hal->clock);
     alarms_start(hal);
     serial_start(hal);
-    can_start(hal);
     SCB->SHPR3 = (uint32_t)PRIORITY_TICK << 28 | (uint32_t)PRIORITY_NORMAL << 20; /* SysTick and PendSV. */
     return hal;
+}
+
+void hal_links_start(hal_t *hal, uint32_t can_bit_s, uint32_t serial_baud) {
+    serial_open(hal, serial_baud);
+    can_start(hal, can_bit_s);
 }
 
 void hal_led(hal_t *hal, bool on) {

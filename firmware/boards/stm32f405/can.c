@@ -1,9 +1,11 @@
-/* can.c: CAN1 at 1 Mbit/s on PB8 and PB9, 29-bit data frames only.
+/* can.c: CAN1 on PB8 and PB9, 29-bit data frames only.
  *
- * Bit timing; CiA asks for a sample point of about 75 to 87.5 %.
- *   clock    divided by   quanta              sample point
- *   42 MHz       3        14 = 1 + 10 + 3     78.6 %
- *   16 MHz       1        16 = 1 + 12 + 3     81.3 %
+ * Bit timing; CiA asks for a sample point of about 75 to 87.5 %. Below 1 Mbit/s the quanta are as short as they can be,
+ * since stamps of received frames scatter by one.
+ *   clock    rate               divided by   quanta              sample point   quantum
+ *   42 MHz   1 Mbit/s               3        14 = 1 + 10 + 3     78.6 %          71 ns
+ *            500, 250, 125 k     4, 8, 16    21 = 1 + 16 + 4     81.0 %          95, 190, 381 ns
+ *   16 MHz   all              1, 2, 4, 8     16 = 1 + 12 + 3     81.3 %
  *
  * Stamped frames (hal.h) come through FIFO 1, alone there, so that its interrupt tells of no others. That interrupt
  * and the mailboxes' have a priority above all that takes long, and first of all look at the chip timer; only each
@@ -17,17 +19,17 @@
 #include "boards/board.h"
 #include "boards/stm32f405/stm32f405.h"
 
-/* Received frames that may wait for main: 8.5 ms of the shortest, 14 ms of those with 8 bytes. */
+/* Received frames that may wait for main: at 1 Mbit/s 8.5 ms of the shortest, 14 ms of those with 8 bytes. */
 #define RECEIVE_BUFFER 128u
 #define STAMPS         8u /* Stamped frames that may wait (hal.h). */
 
 #define MODE_TRIES 10000u /* Tries of waiting for the controller to change its mode. */
-/* A frame is valid for its transmitter at the end of the last bit of its end of frame, for receivers at that of the
- * last but one (Bosch, CAN 2.0, part B, 5; ISO 11898-1): they stamp one bit of 1 us early. */
-#define RECEIVED_EARLY_TICKS (HAL_TICKS_PER_SECOND / 1000000u)
-
 /* No DMA touches it. */
 static struct {
+    /* How early receivers stamp a frame. It is valid for its transmitter at the end of the last bit of its end of
+     * frame, for receivers at that of the last but one (Bosch, CAN 2.0, part B, 5; ISO 11898-1). They take the bus's
+     * edges up to a quantum late, half of one in the mean. */
+    uint32_t early_ticks;
     volatile uint32_t put, taken; /* Frames since reset: put in by the interrupt, taken by main. */
     bool off;                     /* The controller is off the bus. */
     hal_frame_t frames[RECEIVE_BUFFER];
@@ -38,16 +40,29 @@ static struct {
     hal_frame_t stamped[STAMPS];
 } can BOARD_CORE_MEMORY;
 
-#define BIT_TIMING(divide, before, behind, jump)                                                                       \
-    (((jump)-1u) << 24 | ((behind)-1u) << 20 | ((before)-1u) << 16 | ((divide)-1u))
+typedef struct {
+    uint32_t divide;         /* Clocks of a quantum. */
+    uint32_t before, behind; /* Quanta of segments 1 and 2; the bit may be changed by the latter. */
+} bit_timing_t;
 
-void can_start(const hal_t *hal) {
+static bit_timing_t bit_timing(hal_clock_t clock, uint32_t bit_s) {
+    const uint32_t slower = 1000000u / bit_s;
+    if (clock == HAL_CLOCK_SLOW)
+        return (bit_timing_t){slower, 12u, 3u};
+    return slower == 1u ? (bit_timing_t){3u, 10u, 3u} : (bit_timing_t){2u * slower, 16u, 4u};
+}
+
+void can_start(const hal_t *hal, uint32_t bit_s) {
+    const bit_timing_t timing = bit_timing(hal->clock, bit_s);
+    const uint32_t quantum_ticks = 4u * timing.divide;
+    can.early_ticks = HAL_TICKS_PER_SECOND / bit_s - quantum_ticks / 2u;
     /* SLEEP 0 and INRQ 1 bring it out of sleep into initialisation. Frames leave in the order of requests (TXFP). */
     const uint32_t mode = CAN_MCR_ABOM | CAN_MCR_TXFP;
     CAN1->MCR = mode | CAN_MCR_INRQ;
     if (!wait_for(&CAN1->MSR, CAN_MSR_INAK, CAN_MSR_INAK, MODE_TRIES))
         return;
-    CAN1->BTR = hal->clock == HAL_CLOCK_SLOW ? BIT_TIMING(1u, 12u, 3u, 3u) : BIT_TIMING(3u, 10u, 3u, 3u);
+    CAN1->BTR = (timing.behind - 1u) << 24 | (timing.behind - 1u) << 20 | (timing.before - 1u) << 16 |
+                (timing.divide - 1u);
 
     /* The filters have 32 bits with mask and take extended frames that are not remote: 0 and 1 the stamped types, to
      * FIFO 1; 2 any, to FIFO 0. The lower number goes first. */
@@ -149,7 +164,7 @@ void CAN1_RX1_Handler(void) {
         return; /* The last release is still on its way. */
     hal_frame_t frame;
     copy_frame(&frame, CAN1->RI1R, CAN1->RDT1R, CAN1->RDL1R, CAN1->RDH1R);
-    now.ticks += RECEIVED_EARLY_TICKS;
+    now.ticks += can.early_ticks;
     if ((status & CAN_RF1R_FMP1) == 1)
         stamp(&frame, false, now);
     const uint32_t put = can.stamped_put;

@@ -18,8 +18,7 @@
 
 /* Tries of waiting for the crystal, 20 ms at 16 MHz; a crystal takes 2 ms (data sheet, table 37). */
 #define CRYSTAL_TRIES 50000u
-#define SWITCH_TRIES  10000u    /* Tries of waiting for a switch, 4 ms; the PLL takes 0.3 ms. */
-#define SLOW_HZ       16000000u /* Clock without the PLL, Hz. */
+#define SWITCH_TRIES  10000u /* Tries of waiting for a switch, 4 ms; the PLL takes 0.3 ms. */
 /* What DBGMCU_IDCODE tells (RM0090, 38.6.1). */
 #define DEVICE_MASK      0xFFFu
 #define DEVICE_F405      0x413u

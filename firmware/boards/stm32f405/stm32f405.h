@@ -118,6 +118,7 @@ struct hal {
     volatile uint32_t receive_wraps; /* How often DMA has filled the receive buffer. */
     uint32_t taken;                  /* Bytes since reset that main took. */
     bool receive_overrun;            /* The USART's flag was up when main looked last. */
+    uint32_t transmit_room;          /* Bytes of transmit that the rate allows. */
     uint8_t transmit[HAL_SERIAL_BUFFER];
     uint8_t receive[SERIAL_RECEIVE_BUFFER];
 };
@@ -178,6 +179,8 @@ bool flash_erase(uint32_t sector);
 
 /* ---- clock.c ---- */
 
+#define SLOW_HZ 16000000u /* Clock without the PLL, Hz. */
+
 hal_clock_t clock_start(void);
 
 /* Go on without the crystal, which has stopped: 0.3 ms at 16 MHz, then as if it had never started. Returns false if the
@@ -221,7 +224,11 @@ void reset_crash(const hal_crash_t *crash);
 
 /* ---- serial.c ---- */
 
-void serial_start(hal_t *hal);
+/* Let the port send at HAL_SERIAL_BAUD, by polling. */
+void serial_start(const hal_t *hal);
+
+/* Set its rate, and let it receive. */
+void serial_open(hal_t *hal, uint32_t baud);
 
 /* ---- bridge.c ---- */
 
@@ -281,7 +288,7 @@ chip_time_t chip_now(void);
 
 /* ---- can.c ---- */
 
-void can_start(const hal_t *hal);
+void can_start(const hal_t *hal, uint32_t bit_s);
 
 /* Take no frames, or take them again: while the processor stands still they would run over. They are acknowledged. */
 void can_deaf(bool deaf);

@@ -5,14 +5,15 @@
  * BUS_SHARE_PERCENT of the bus evenly: each hears who else does, and keeps to its own part by leaving some out.
  *
  * Calls, all from main
- *   1. bus_share_start  once.
+ *   1. bus_share_start  once, with the bus's bit rate.
  *   2. bus_share_heard  for each message of another board that tells of its motion.
  *   3. bus_share_take   before messages that may be left out: they go if it says so.
  *      bus_share_spend  for messages that go in any case, out of the same part.
  *
- * The part is kept as a credit of bus time, which grows with the time and is spent at BUS_SHARE_MESSAGE_NS a message,
+ * The part is kept as a credit of bus time, which grows with the time and is spent at BUS_SHARE_MESSAGE_BITS a message,
  * the longest that there is: so each second, third or fourth block is left out, or whatever it takes, evenly. The
- * credit is at most BUS_SHARE_CREDIT_NS, which is the most that goes at once behind a silence, and the same below zero.
+ * credit is at most BUS_SHARE_CREDIT_BITS, which is the most that goes at once behind a silence, and the same below
+ * zero.
  *
  * Time: a pass over the others and one division a call. Memory: 256 bytes.
  */
@@ -22,14 +23,15 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#define BUS_SHARE_OTHERS     15       /* Most other boards that are told apart; more count as so many. */
-#define BUS_SHARE_PERCENT    75       /* Part of the bus for all: beacons, answers, repeated frames need the rest. */
-#define BUS_SHARE_MESSAGE_NS 160000   /* Longest frame of 8 bytes at 1 Mbit/s, with the pause behind it. */
-#define BUS_SHARE_CREDIT_NS  10000000 /* Largest credit: 62 messages, the longest block that fits into a queue. */
-#define BUS_SHARE_FORGET_US  500000   /* Silence after which another board no longer counts. */
+#define BUS_SHARE_OTHERS       15     /* Most other boards that are told apart; more count as so many. */
+#define BUS_SHARE_PERCENT      75     /* Part of the bus for all: beacons, answers, repeated frames need the rest. */
+#define BUS_SHARE_MESSAGE_BITS 160    /* Longest frame of 8 bytes, with the pause behind it. */
+#define BUS_SHARE_CREDIT_BITS  10000  /* Largest credit: 62 messages, the longest block that fits into a queue. */
+#define BUS_SHARE_FORGET_US    500000 /* Silence after which another board no longer counts. */
 
 /* Fields are private. */
 typedef struct {
+    int64_t bit_ns;     /* Length of a bit. */
     int64_t credit_ns;  /* Bus time that may be spent. */
     uint64_t filled_us; /* Time of the latest growth. */
     struct {
@@ -38,8 +40,8 @@ typedef struct {
     } others[BUS_SHARE_OTHERS];
 } bus_share_t;
 
-/* Begin without credit, and with nobody else there. */
-void bus_share_start(bus_share_t *share, uint64_t now_us);
+/* Begin without credit, and with nobody else there. bit_s, bits a second, divides 10^9. */
+void bus_share_start(bus_share_t *share, uint32_t bit_s, uint64_t now_us);
 
 /* Note that another board tells of its motion. node is its number, above 0. */
 void bus_share_heard(bus_share_t *share, uint32_t node, uint64_t now_us);

@@ -48,9 +48,8 @@ enum {
 /* ESR */
 #define BOFF 4u
 /* BTR */
-#define LBKM       0x40000000u
-#define SILM       0x80000000u
-#define NETWORK_HZ 1e6
+#define LBKM 0x40000000u
+#define SILM 0x80000000u
 
 typedef struct {
     can_t *can;
@@ -66,7 +65,8 @@ typedef struct {
 
 struct can {
     model_t model;
-    unsigned number; /* 0: CAN1 */
+    unsigned number;   /* 0: CAN1 */
+    double network_hz; /* Bit rate of the network. */
     mailbox_t mailbox[3];
     received_t fifo[2][3];
     uint64_t orders;

@@ -65,7 +65,7 @@ void can_submit(can_t *c, int64_t time_ps) {
                               model_name(&c->model));
         } else if (!can_rate_fits(c)) {
             machine_schedule(c->model.machine, &first->retry,
-                             time_ps + llround(ERROR_FRAME_BITS * 1e12 / NETWORK_HZ)); /* Nobody understands it. */
+                             time_ps + llround(ERROR_FRAME_BITS * 1e12 / c->network_hz)); /* Nobody understands it. */
             can_transmit_failed(c, true); /* Never off the bus: a choice that keeps the model simple. */
             can_errors(c, 5);
         } else if (edge->can_request && c->number == 0) {
@@ -105,7 +105,8 @@ void can_frame_sent(machine_t *machine, unsigned mailbox, bool ok, int64_t time_
     } else if (reg(&c->model, MCR) & NART) {
         finish(c, mailbox, 8u);
     } else {
-        machine_schedule(machine, &c->mailbox[mailbox].retry, time_ps + llround(ERROR_FRAME_BITS * 1e12 / NETWORK_HZ));
+        machine_schedule(machine, &c->mailbox[mailbox].retry,
+                         time_ps + llround(ERROR_FRAME_BITS * 1e12 / c->network_hz));
     }
     can_submit(c, time_ps);
     can_interrupts(c);
@@ -133,7 +134,7 @@ void can_error_in(machine_t *machine, unsigned mailbox, int64_t time_ps) {
         finish(c, mailbox, 8u);
     } else if (!c->bus_off) {
         machine_schedule(machine, &c->mailbox[mailbox].retry,
-                         time_ps + (passive ? llround(SUSPENDED_BITS * 1e12 / NETWORK_HZ) : 0));
+                         time_ps + (passive ? llround(SUSPENDED_BITS * 1e12 / c->network_hz) : 0));
     }
     can_submit(c, time_ps);
     can_interrupts(c);

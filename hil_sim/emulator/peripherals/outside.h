@@ -13,6 +13,9 @@ void gpio_pin_in(machine_t *machine, unsigned pin, bool level, int64_t time_ps);
 /* usart.c: the stop bit of a byte, sent at a bit rate of baud, ended. */
 void usart_byte_in(machine_t *machine, unsigned uart, uint8_t byte, uint32_t baud, int64_t time_ps);
 
+/* can.c: the network of CAN1 has another bit rate from now on. */
+void can_network_in(machine_t *machine, uint32_t bit_s);
+
 /* can_receive.c: a frame on the network became valid. */
 void can_frame_in(machine_t *machine, const board_frame_t *frame, int64_t time_ps);
 

@@ -36,6 +36,7 @@ void hal_monitor(const hal_t *h, hal_monitor_t *m) {
     (void)h;
     *m = (hal_monitor_t){.supply = 2048, .coil = {2048, 2048}, .driver = 2048};
 }
+void hal_links_start(hal_t *h, uint32_t can, uint32_t serial) { (void)h; (void)can; (void)serial; }
 bool hal_serial_write(hal_t *h, const uint8_t *bytes, size_t count) { (void)h; (void)bytes; (void)count; return true; }
 void hal_serial_write_polled(hal_t *h, const uint8_t *bytes, size_t count) { (void)h; (void)bytes; (void)count; }
 size_t hal_serial_read(hal_t *h, uint8_t *bytes, size_t capacity) { (void)h; (void)bytes; (void)capacity; return 0; }

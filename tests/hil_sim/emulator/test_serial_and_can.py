@@ -349,7 +349,7 @@ def test_loop_back(fast_chip: Bench) -> None:
 
 
 def test_wrong_bit_rate() -> None:
-    """A crystal 1 % off: nothing is understood. A wrong divider: loud at once."""
+    """A crystal 1 % off, or a network of another rate: nothing is understood. Above 1 Mbit/s: loud at once."""
     chip = Bench(crystal_ppm=10000.0)
     chip.full_speed()
     start_can(chip)
@@ -364,8 +364,26 @@ def test_wrong_bit_rate() -> None:
     chip.run(MILLISECOND)
     chip.write(CAN + BTR, 0x01230000)
     chip.write(CAN + MCR, 0x10000)
-    chip.expect("makes 5250000 bit/s, the network runs at 1000000")
+    chip.expect("makes 5250000 bit/s, above 1 Mbit/s")
     chip.close()
+
+
+def test_the_rate_of_the_network(can_chip: Bench) -> None:
+    """A controller of 1 Mbit/s hears nothing at 500 kbit/s; with twice the divider it does."""
+    chip = can_chip
+    chip.operations.can_rate(chip.board, 500_000)
+    frame_in(chip, 1)
+    chip.run(MILLISECOND)
+    assert chip.read(CAN + RF0R) & 3 == 0
+    assert chip.read(CAN + ESR) >> 24 > 0
+    chip.write(CAN + MCR, 0x10001)
+    chip.run(MILLISECOND)
+    chip.write(CAN + BTR, (ONE_MEGABIT & ~0x3FF) | (2 * ((ONE_MEGABIT & 0x3FF) + 1) - 1))
+    chip.write(CAN + MCR, 0x10000)
+    chip.run(MILLISECOND)
+    frame_in(chip, 2)
+    chip.run(MILLISECOND)
+    assert chip.read(CAN + RF0R) & 3 == 1
 
 
 def test_can_rules(can_chip: Bench) -> None:

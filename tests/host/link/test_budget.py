@@ -33,6 +33,7 @@ from goldfield.link.budget import (
 from goldfield_protocol import encode_frame
 from goldfield_protocol.messages import database
 from goldfield_protocol.parameters import PARAMETERS
+from goldfield_protocol.rates import CAN_RATES
 
 FIRMWARE = Path(__file__).parents[3] / "firmware"
 CAN_FRAME_S = 160e-6
@@ -162,9 +163,9 @@ def test_the_share_is_the_firmwares():
     share, queue = constants("core/link/bus_share.h"), constants("services/node.h")["NODE_QUEUE_MESSAGES"]
     poses = constants("services/pose_report.h")["POSE_REPORT_MESSAGES"]
     assert share["BUS_SHARE_PERCENT"] == 100.0 * SHARE[Link.CAN]
-    assert share["BUS_SHARE_MESSAGE_NS"] == pytest.approx(1e9 * message_s(Link.CAN, "BLOCK_SUM"))
+    assert share["BUS_SHARE_MESSAGE_BITS"] == pytest.approx(CAN_RATES[0] * message_s(Link.CAN, "BLOCK_SUM"))
     assert (queue - 1 - constants("services/blocks.h")["BLOCKS_REPORT_BESIDE"] - poses) // 2 == MOST_CODES_ON_CAN
-    assert share["BUS_SHARE_CREDIT_NS"] >= (1 + MOST_CODES_ON_CAN) * share["BUS_SHARE_MESSAGE_NS"]
+    assert share["BUS_SHARE_CREDIT_BITS"] >= (1 + MOST_CODES_ON_CAN) * share["BUS_SHARE_MESSAGE_BITS"]
 
 
 def test_every_choice_is_told_in_one_sentence():

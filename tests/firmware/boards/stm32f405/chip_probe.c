@@ -184,6 +184,7 @@ static void fault(void *context, hal_fault_t cause) {
 
 int main(void) {
     probe.hal = board_start();
+    hal_links_start(probe.hal, 1000000u, HAL_SERIAL_BAUD);
     probe.mode = hal_parameter_page(probe.hal)[0];
     happens = hal_parameter_page(probe.hal)[1];
     const GPIO_registers *ports[3] = {GPIOA, GPIOB, GPIOC};

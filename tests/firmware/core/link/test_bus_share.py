@@ -6,21 +6,24 @@ from fractions import Fraction
 
 import pytest
 
+from goldfield_protocol.rates import CAN_RATES
+
+BIT_S = 1_000_000
 MESSAGE_US, PERCENT, CREDIT_US, FORGET_US, OTHERS = 160, 75, 10_000, 500_000, 15
 BLOCK_US = 3030
 
 
-def make(core, now_us=0):
+def make(core, now_us=0, bit_s=BIT_S):
     ffi, lib = core
     share = ffi.new("bus_share_t *")
-    lib.bus_share_start(share, now_us)
+    lib.bus_share_start(share, bit_s, now_us)
     return share
 
 
-def sent(core, boards, messages, cycle_messages=0, seconds=30):
+def sent(core, boards, messages, cycle_messages=0, seconds=30, bit_s=BIT_S):
     """Let so many boards ask for each of their blocks; return how many blocks each sent, and asked for."""
     _, lib = core
-    shares = [make(core, 7 * board) for board in range(boards)]
+    shares = [make(core, 7 * board, bit_s) for board in range(boards)]
     counts, asked = [0] * boards, 0
     for now_us in range(BLOCK_US, seconds * 1_000_000, BLOCK_US):
         asked += 1
@@ -45,6 +48,18 @@ def test_boards_divide_three_quarters_of_the_bus(core, boards, messages, cycle_m
     at_first = 1 + CREDIT_US / (messages * MESSAGE_US)  # a credit that is not spent at the end, and the like
     for count in counts:
         assert count == pytest.approx(expected, abs=at_first)
+
+
+@pytest.mark.parametrize("bit_s", CAN_RATES)
+@pytest.mark.parametrize("boards", [1, 3])
+def test_so_they_do_at_each_bit_rate(core, boards, bit_s):
+    counts, asked = sent(core, boards, messages=9, cycle_messages=11, bit_s=bit_s)
+    slower = BIT_S // bit_s
+    part = Fraction(PERCENT, 100) / boards * BLOCK_US - Fraction(11 * MESSAGE_US * slower, 33)
+    expected = float(asked * min(1, part / (9 * MESSAGE_US * slower)))
+    for count in counts:
+        assert count == pytest.approx(expected, abs=1 + CREDIT_US / (9 * MESSAGE_US))
+    assert bit_s == BIT_S or 0 < expected < asked
 
 
 def test_blocks_are_left_out_evenly(core):
@@ -107,7 +122,7 @@ def test_it_begins_without_credit_and_alone_whatever_lay_there(core):
     ffi, lib = core
     share = ffi.new("bus_share_t *")
     ffi.memmove(share, b"\x11" * ffi.sizeof("bus_share_t"), ffi.sizeof("bus_share_t"))
-    lib.bus_share_start(share, 5000)
+    lib.bus_share_start(share, BIT_S, 5000)
     assert not lib.bus_share_take(share, 1, 5000)
     assert lib.bus_share_boards(share, 5000) == 1
     assert not lib.bus_share_take(share, 1, 5213)
@@ -128,7 +143,7 @@ def test_nothing_behind_the_last_place_counts(core):
     """What lies behind looks like the board that is heard."""
     ffi, lib = core
     shares = ffi.new("bus_share_t[2]")
-    lib.bus_share_start(shares, 0)
+    lib.bus_share_start(shares, BIT_S, 0)
     shares[1].credit_ns, shares[1].filled_us = 7, 10
     assert lib.bus_share_boards(shares, 10) == 1
     lib.bus_share_heard(shares, 7, 10)
