@@ -18,8 +18,6 @@ SAME_IN_C = (
 )
 """Fields that a `Circuit` and ``coil_config_t`` have in common."""
 
-CAN_BITS_PER_SECOND, BAUD = 1_000_000, 2_000_000
-
 
 def build(ffi: Any, scenario: Scenario, seed: int) -> tuple[Any, Any]:
     """Return a ``rig_config_t *`` without threads and host, and what must live as long."""
@@ -35,7 +33,7 @@ def build(ffi: Any, scenario: Scenario, seed: int) -> tuple[Any, Any]:
             _fill_front_end(board.front_end, front_end)
     config = ffi.new("rig_config_t *")
     config.seed, config.beacons, config.sync_master = seed, len(scenario.beacons), scenario.sync_master
-    config.can_bits_per_second, config.baud = CAN_BITS_PER_SECOND, BAUD
+    config.can_bits_per_second, config.baud = scenario.links.can_bit_s, scenario.links.serial_baud
     config.boards = boards
     fill_ambient(config.ambient, scenario.ambient, seed, scenario.sensor.lag_s)
     return config, boards

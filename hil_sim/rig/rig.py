@@ -315,6 +315,17 @@ class Rig:
         if not self._library.rig_can_write(self._rig, self._ffi.new("board_frame_t *", fields)):
             raise UserError("the host's adapter is not on the rig's CAN bus")
 
+    def can_rate(self, bit_s: int) -> None:
+        """Let the bus, and the host's adapter on it, have another bit rate from now on; the boards keep theirs.
+
+        Raises
+        ------
+        UserError
+            If it is above 1 Mbit/s or not above 0.
+        """
+        if bit_s <= 0 or not self._library.rig_can_rate(self._rig, bit_s):
+            raise UserError(f"a CAN bus does more than 0 and at most 1000000 bit/s, not {bit_s}")
+
     def can_errors(self, probability: float) -> None:
         """Let each bit on the bus be wrong with a probability from now on; the rig's seed decides which.
 

@@ -15,7 +15,17 @@ from hil_sim.scenario.events import (
 )
 from hil_sim.scenario.installation import Installation
 from hil_sim.scenario.pages import parameter_page
-from hil_sim.scenario.parts import CHIP_PERIOD_S, CONVERTER_COUNTS, Ambient, Beacon, CanBus, Circuit, Clock, FrontEnd
+from hil_sim.scenario.parts import (
+    CHIP_PERIOD_S,
+    CONVERTER_COUNTS,
+    Ambient,
+    Beacon,
+    CanBus,
+    Circuit,
+    Clock,
+    FrontEnd,
+    Links,
+)
 from hil_sim.scenario.reading import SCENARIOS, find, load, load_scenario
 from hil_sim.scenario.scenario import Scenario
 from hil_sim.scenario.site_file import site_toml, true_site_toml
@@ -36,6 +46,7 @@ __all__ = [
     "Electrical",
     "FrontEnd",
     "Installation",
+    "Links",
     "Move",
     "ProcessorSupply",
     "Scenario",

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from goldfield_protocol.parameters import PARAMETERS, Value, build_page
+from goldfield_protocol.rates import CAN_RATES, SERIAL_RATES
 from hil_sim.scenario.parts import DEGREE, Beacon, FrontEnd
 from hil_sim.scenario.scenario import Scenario
 from hil_sim.scenario.site_file import axis_deviations
@@ -41,7 +42,13 @@ def parameter_page(scenario: Scenario, board: int) -> bytes:
             own = {**own, **_front_end(beacon.sensor), **_code_list(scenario)}
         if scenario.sync != "wire":
             own = {**own, "sync_source": SYNC_SOURCES[scenario.sync]}
-    return build_page(own if scenario.degree == DEGREE else {**own, "degree": scenario.degree})
+    links = scenario.links
+    rates = {
+        "degree": (scenario.degree, DEGREE),
+        "can_rate": (CAN_RATES.index(links.can_bit_s), 0),
+        "serial_rate": (SERIAL_RATES.index(links.serial_baud), 0),
+    }
+    return build_page({**own, **{name: value for name, (value, default) in rates.items() if value != default}})
 
 
 def _sensor(scenario: Scenario) -> Mapping[str, Value]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from goldfield.site.drive import Code
+from goldfield_protocol.rates import CAN_RATES, SERIAL_RATES
 from hil_sim.world.motion import Still
 from hil_sim.world.path import CoilGeometry
 
@@ -43,6 +44,22 @@ class CanBus:
     delay_s: float = 0.0
 
 
+@dataclass(frozen=True)
+class Links:
+    """The bit rates of a bench: the boards' parameters, its CAN bus and its serial lines.
+
+    Attributes
+    ----------
+    can_bit_s, serial_baud : int
+        Members of `goldfield_protocol.rates`.
+    """
+
+    can_bit_s: int = CAN_RATES[0]
+    serial_baud: int = SERIAL_RATES[0]
+
+
+FASTEST = Links()
+"""The boards' rates unless they are told others."""
 CLEAN_BUS = CanBus()
 """A CAN bus that neither destroys nor delays."""
 

@@ -17,6 +17,7 @@ from goldfield.files.toml_table import Table, read_table
 from goldfield.site.drive import DEGREES, Code, Plan, read_drive
 from goldfield_protocol.image import KEY_BYTES
 from goldfield_protocol.parameters import PARAMETERS, ParameterError
+from goldfield_protocol.rates import CAN_RATES, SERIAL_RATES
 from hil_sim.scenario.bodies import read_installation, read_metal
 from hil_sim.scenario.events import processor_supply, read_events
 from hil_sim.scenario.motions import read_motion
@@ -25,6 +26,7 @@ from hil_sim.scenario.parts import (
     CHIP_PERIOD_S,
     CLEAN_BUS,
     DEGREE,
+    FASTEST,
     Ambient,
     Anchor,
     Beacon,
@@ -33,6 +35,7 @@ from hil_sim.scenario.parts import (
     Clock,
     HalfSpace,
     Impulses,
+    Links,
     Sensor,
 )
 from hil_sim.scenario.scenario import Scenario
@@ -92,7 +95,7 @@ def load(path: str | Path, seed: int | None = None) -> Scenario:
     root = read_table(path, "scenario")
     root.allow(
         *("name", "seed", "degree", "power_on_spread_s", "slots", "sync", "half_space", "ambient", "sensor", "motion"),
-        *("coil", "beacon", "event", "metal", "magnet", "installation", "known_point", "can", "shared_codes"),
+        *("coil", "beacon", "event", "metal", "magnet", "installation", "known_point", "can", "links", "shared_codes"),
     )
     sync = root.text("sync") if "sync" in root else "wire"
     if sync not in ("wire", "can", "automatic"):
@@ -128,6 +131,7 @@ def load(path: str | Path, seed: int | None = None) -> Scenario:
         installation=installation,
         visits=visits,
         can=_can(root.table("can")) if "can" in root else CLEAN_BUS,
+        links=_links(root.table("links")) if "links" in root else FASTEST,
     )
     _check_boards(root, scenario)
     return scenario
@@ -137,6 +141,7 @@ def load(path: str | Path, seed: int | None = None) -> Scenario:
 
 CLOCK_KEYS = tuple(field.name for field in fields(Clock))
 CAN_KEYS = tuple(field.name for field in fields(CanBus))
+LINKS_RATES = {"can_bit_s": CAN_RATES, "serial_baud": SERIAL_RATES}
 LONGEST_DELAY_S = 1e-6
 CIRCUIT_KEYS = tuple(field.name for field in fields(Circuit))
 COIL_KEYS = (*CIRCUIT_KEYS, "turns", "radius_m", "axis")
@@ -219,6 +224,19 @@ def _can(table: Table) -> CanBus:
     if delay_s > LONGEST_DELAY_S:
         raise table.error("delay_s", f"is {delay_s:g}; it must not be above {LONGEST_DELAY_S:g}, a bit")
     return CanBus(probability, delay_s)
+
+
+def _links(table: Table) -> Links:
+    table.allow(*LINKS_RATES)
+    given = {key: _rate(table, key, rates) for key, rates in LINKS_RATES.items() if key in table}
+    return replace(FASTEST, **given)
+
+
+def _rate(table: Table, key: str, rates: tuple[int, ...]) -> int:
+    rate = table.integer(key)
+    if rate not in rates:
+        raise table.error(key, f"is {rate}; the boards do {', '.join(map(str, rates))}")
+    return rate
 
 
 def _half_space(table: Table) -> HalfSpace:

@@ -7,7 +7,18 @@ from functools import cached_property
 
 from hil_sim.scenario.events import Bring, Event, Move
 from hil_sim.scenario.installation import EXACT, Installation, draw
-from hil_sim.scenario.parts import CLEAN_BUS, DEGREE, Ambient, Beacon, CanBus, FrontEnd, HalfSpace, Sensor
+from hil_sim.scenario.parts import (
+    CLEAN_BUS,
+    DEGREE,
+    FASTEST,
+    Ambient,
+    Beacon,
+    CanBus,
+    FrontEnd,
+    HalfSpace,
+    Links,
+    Sensor,
+)
 from hil_sim.world.magnet import Magnet
 from hil_sim.world.metal import Body
 from hil_sim.world.motion import Motion
@@ -43,6 +54,7 @@ class Scenario:
     installation: Installation = EXACT
     visits: tuple[Visit, ...] = ()
     can: CanBus = CLEAN_BUS
+    links: Links = FASTEST
 
     @cached_property
     def installed(self) -> Scenario:

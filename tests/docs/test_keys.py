@@ -37,7 +37,13 @@ def test_every_key_of_a_scenario_is_explained() -> None:
     top = {"name", "seed", "degree", "power_on_spread_s", "slots", "sync", "half_space", "shared_codes"}
     ambient = {"earth_T", "mains", "impulses"}
     keys = top | ambient | {*reading.SENSOR_KEYS, *reading.BEACON_KEYS, *reading.COIL_KEYS, *reading.CLOCK_KEYS}
-    keys |= {*reading.CAN_KEYS, *events.EVENT_KEYS, *installation.INSTALLATION_KEYS, *motions.KNOWN_POINT_KEYS}
+    keys |= {
+        *reading.CAN_KEYS,
+        *reading.LINKS_RATES,
+        *events.EVENT_KEYS,
+        *installation.INSTALLATION_KEYS,
+        *motions.KNOWN_POINT_KEYS,
+    }
     keys |= {"shape", *surroundings.MAGNET_KEYS}.union(*bodies.METAL_KEYS.values())
     keys = keys - {"sensor"} | {"beacon.sensor"}
     assert documented("scenario.md") == keys

@@ -28,6 +28,7 @@ class LoadedBus:
         self._load = load
         self._random = np.random.default_rng(seed)
         self._owed_s = 0.0
+        self._frame_s = 135 / rig.scenario.links.can_bit_s
         self._start = rig.can_statistics()["busy_ps"], rig.now_s
 
     def advance(self, seconds: float, step_s: float = 0.001) -> None:
@@ -35,10 +36,10 @@ class LoadedBus:
         for _ in range(round(seconds / step_s)):
             self._owed_s += step_s * self._load
             burst = self._random.integers(1, 9)
-            if self._owed_s > burst * 135e-6:
+            if self._owed_s > burst * self._frame_s:
                 for _ in range(burst):
                     self._send()
-                    self._owed_s -= 135e-6
+                    self._owed_s -= self._frame_s
             self.rig.advance(step_s)
 
     def _send(self) -> None:

@@ -6,8 +6,10 @@ import pytest
 from goldfield.access.epoch import EpochSeparator
 from goldfield.locate import locate
 from goldfield.types import Status
+from goldfield_protocol.rates import CAN_RATES
 from hil_sim.bench import SimulatedBench
 from hil_sim.scenario import SCENARIOS
+from tests.bench.can_rates import LOAD, bench_at, chip_errors
 from tests.hil.bound import check_at_the_bound
 from tests.hil.can_timing import LoadedBus, beacon_phases, cold_starts, sensor_phases, starve
 
@@ -65,6 +67,21 @@ def test_a_cold_start_and_chip_edges_on_a_busy_bus(small_bench):
     bus.advance(0.3)
     assert bus.share() > 0.6
     judge_phases(beacon_phases(small_bench), beacons=3, edges=900)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("boards", "bit_s"), [*(("host", rate) for rate in CAN_RATES), ("emulated", CAN_RATES[-1])])
+def test_chip_edges_at_each_bit_rate(tmp_path, boards, bit_s):
+    """A fifth of what they must, as at 1 Mbit/s; an emulated receiver at 125 kbit/s looks every 381 ns."""
+    bench = bench_at(bit_s, boards, tmp_path)
+    bus = LoadedBus(bench.rig, LOAD)
+    starts = cold_starts(bench, bus, 1)
+    assert starts[:, 0].max() < 1.0
+    assert starts[:, 1].max() < 0.5
+    errors = chip_errors(bench, bus, spans=1)
+    assert len(errors) > 2 * 900
+    assert np.abs(errors).max() < 0.2e-6
+    bench.close()
 
 
 @pytest.mark.slow  # on emulated boards: `make test-host-boards` runs it too

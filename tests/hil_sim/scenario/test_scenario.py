@@ -268,6 +268,30 @@ def test_a_bus_is_clean_unless_the_scenario_says_otherwise(tmp_path):
     assert (loaded.can.bit_error_probability, loaded.can.delay_s) == (1e-5, 2e-7)
 
 
+def test_the_bench_has_the_rates_of_its_links_and_its_boards_have_them_in_their_pages(tmp_path):
+    plain = scenario.load(write_scenario(tmp_path))
+    assert plain.links == scenario.Links(1_000_000, 2_000_000)
+    loaded = eventful(tmp_path, "[links]\ncan_bit_s = 125000\nserial_baud = 460800\n")
+    assert loaded.links == scenario.Links(125_000, 460_800)
+    for board in range(4):
+        page = parse_page(scenario.parameter_page(loaded, board))
+        assert (page["can_rate"], page["serial_rate"]) == (3, 2)
+        assert not {"can_rate", "serial_rate"} & {*parse_page(scenario.parameter_page(plain, board))}
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ("can_bit_s = 800000", "[links]: can_bit_s is 800000; the boards do 1000000, 500000, 250000, 125000"),
+        ("serial_baud = 9600", "[links]: serial_baud is 9600; the boards do 2000000, 921600, 460800, 115200"),
+        ("baud = 9600", "[links]: baud is no known key"),
+    ],
+)
+def test_what_is_wrong_with_the_links(tmp_path, keys, words):
+    with pytest.raises(UserError, match=re.escape(words)):
+        eventful(tmp_path, f"[links]\n{keys}\n")
+
+
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
