@@ -242,7 +242,7 @@ class Board:
     def receive(self, stream: bytes, time: int, baud: int = 2_000_000) -> None:
         """Bytes arrive back to back from a time on."""
         for i, byte in enumerate(stream):
-            self.operations.uart_in(self.handle, SERIAL_PORT, byte, baud, time + (i + 1) * 5 * US)
+            self.operations.uart_in(self.handle, SERIAL_PORT, byte, baud, time + (i + 1) * 10 * SECOND // baud)
 
     def send_serial(self, name: str, signals: Mapping[str, float], node: int, index: int, time: int) -> None:
         identifier, data = encode(name, signals, node=node, index=index)

@@ -9,6 +9,7 @@ import pytest
 
 from goldfield_protocol import Identifier, Message, encode, encode_frame, protocol_hash
 from goldfield_protocol.messages import shapes
+from goldfield_protocol.rates import CAN_RATES, SERIAL_RATES
 from tests.firmware.host_rig import (
     ANCHOR,
     BEACON,
@@ -199,11 +200,13 @@ def test_full_can_queue_counts_what_it_loses() -> None:
     assert in_order(can, serial)
 
 
+@pytest.mark.parametrize("rate", [0, 3])
 @pytest.mark.parametrize("heard", [True, False])
-def test_what_a_full_bus_does_not_take_is_counted_and_what_a_dead_one_does_not_is_not(heard: bool) -> None:
+def test_what_a_full_bus_does_not_take_is_counted_and_what_a_dead_one_does_not_is_not(heard: bool, rate: int) -> None:
     """The bus takes nothing of a sensor; it is full of others' frames, or nobody is there."""
-    parameters = {"node": 9, "code_count": 4, "code_list": [2, 3, 4, 5]}
+    parameters = {"node": 9, "code_count": 4, "code_list": [2, 3, 4, 5], "can_rate": rate}
     board = Board(SENSOR, parameters, volts=lambda pin, time: 1.65)
+    board.operations.can_rate(board.handle, CAN_RATES[rate])
     identifier, data = encode("FIELD", {"x": 0, "y": 0, "z": 0, "cycle_low": 1}, node=8, index=2)
     for step in range(1, 2100, 10):
         if heard:
@@ -316,6 +319,32 @@ def test_a_reset_must_name_its_board(board: Board, named: int, node: int, answer
     assert states.count(0) - 1 == (answer == [(RESET, OK)])
     board.run(3 * SECOND)
     assert board.can_messages("HEARTBEAT")[-1].node == 9
+
+
+@pytest.mark.parametrize(
+    ("rates", "ms"),
+    [
+        ({}, 50),
+        ({"can_rate": 1}, 100),
+        ({"can_rate": 3}, 400),
+        ({"serial_rate": 1}, 50),
+        ({"serial_rate": 2}, 100),
+        ({"serial_rate": 3}, 400),
+    ],
+)
+def test_a_reset_comes_when_the_slower_link_has_told_the_answer(rates: dict[str, int], ms: int) -> None:
+    board = Board(SENSOR, {"node": 9, "pose": 0, **rates}, volts=lambda pin, time: 1.65)
+    can_bit_s, baud = CAN_RATES[rates.get("can_rate", 0)], SERIAL_RATES[rates.get("serial_rate", 0)]
+    board.operations.can_rate(board.handle, can_bit_s)
+    board.run(105 * MS)
+    identifier, data = encode("COMMAND", {"board": NAMED, "argument": 0}, node=9, index=RESET)
+    board.receive(encode_frame(identifier, data), 105 * MS, baud)
+    board.run(700 * MS)
+    off = board.edges(PIN_LED, False)[-1]
+    heard = 105 * MS + 10 * SECOND * len(encode_frame(identifier, data)) // baud
+    assert ms * MS <= off - heard < (ms + 4) * MS
+    assert statuses(board) == [(RESET, OK)]
+    board.close()
 
 
 def test_a_command_for_another_board_and_one_of_the_wrong_length_are_ignored(board: Board) -> None:

@@ -18,11 +18,12 @@ from goldfield.link.buses import BusSource
 from goldfield.nodes import conversation as conversations
 from goldfield.nodes import opening
 from goldfield_protocol import FrameDecoder, decode, encode_frame
+from goldfield_protocol.rates import CAN_RATES
 from tests.firmware.core.boot.slots import Choice, Node, PowerLost
-from tests.firmware.host_rig import MS, SECOND, SENSOR, US, Board
+from tests.firmware.host_rig import MS, SECOND, SENSOR, Board
 from tests.firmware.services.updated_board import UpdatedBoard
 
-FRAME = 160 * US
+FRAME_BITS = 160
 STEP = 5 * MS
 Filter = Callable[[str, int, int], bool]
 """It tells, by a message's name, its index and a board's place, whether the board hears it."""
@@ -123,6 +124,8 @@ class BoardsLink(VirtualLink):
         The first board's serial line in place of the bus.
     hears : callable, optional
         Which messages reach which board.
+    can_bit_s : int
+        The bus's bit rate, which the boards have as well.
 
     Attributes
     ----------
@@ -134,8 +137,16 @@ class BoardsLink(VirtualLink):
         The block with which the user ends the command.
     """
 
-    def __init__(self, seats: Sequence[Seat], *, serial: bool = False, hears: Filter = lambda *_: True) -> None:
+    def __init__(
+        self,
+        seats: Sequence[Seat],
+        *,
+        serial: bool = False,
+        hears: Filter = lambda *_: True,
+        can_bit_s: int = CAN_RATES[0],
+    ) -> None:
         super().__init__()
+        self._frame = FRAME_BITS * SECOND // can_bit_s
         self.name, self.shared, self.link_bit = "bench", not serial, 1 if serial else 2
         self.seats, self.serial, self.hears = list(seats), serial, hears
         self.bus = 0
@@ -153,7 +164,7 @@ class BoardsLink(VirtualLink):
         if self.interrupt_at is not None and self.sent.count("UPDATE_DATA") >= self.interrupt_at:
             self.interrupt_at = None
             raise KeyboardInterrupt
-        self.bus = max(self.bus, self.now) + FRAME
+        self.bus = max(self.bus, self.now) + self._frame
         for seat in self.seats:
             if seat.place not in self.gone and self.hears(message.name, message.index, seat.place):
                 time = seat.local(self.bus)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from goldfield.link.access_key import AccessKey
+from goldfield_protocol.rates import CAN_RATES
 from hil_sim.clib import ROOT
 from tests.firmware.core.boot import slots
 from tests.firmware.core.boot.slots import BEACON as BEACON_ROLE
@@ -29,6 +30,27 @@ def test_a_board_takes_an_image_and_confirms_it(bench, update_file, monkeypatch,
     assert seat.choices == [Choice(0, False), Choice(1, True)]
     assert seat.node.state(1) == IS_CONFIRMED
     assert "sensor 1.0.1 for slot B, 1 board" in told
+
+
+@pytest.mark.parametrize("rate", [1, 3])
+def test_boards_on_a_slower_bus_take_an_image_at_once(core, update_file, monkeypatch, rate):
+    def make(number, unique):
+        board = Board(SENSOR, {"node": number, "can_rate": rate}, unique_id=unique)
+        board.operations.can_rate(board.handle, CAN_RATES[rate])
+        return board
+
+    seats = []
+    for place in range(2):
+        node = Node(core, seed=place + 1)
+        node.confirmed(OLD, place, 7)
+        seats.append(Seat(node, 9 + place, place, make))
+    link = BoardsLink(seats, can_bit_s=CAN_RATES[rate])
+    code, out, told = run(monkeypatch, link, "flash", update_file(), "--all")
+    assert code == 0, told
+    assert out.count("confirmed") == 2
+    assert [seat.choices for seat in seats] == [[Choice(slot, False), Choice(1 - slot, True)] for slot in (0, 1)]
+    for seat in seats:
+        seat.close()
 
 
 def test_many_boards_in_both_slots_take_it_at_once_whatever_each_loses(bench, update_file, monkeypatch):

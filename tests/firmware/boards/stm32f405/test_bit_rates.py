@@ -116,3 +116,19 @@ def test_the_bytes_on_serial(image, slow, index):
     assert min(apart) >= answer[0] - 2
     assert "0 violations" in board.emulator.report()
     board.emulator.close()
+
+
+@pytest.mark.long
+def test_a_sensor_that_streams_into_the_slowest_line_goes_on(tmp_path):
+    """Chips are 14 times what it carries. 20 ms of bytes wait in the board, so a heartbeat is not late by more."""
+    board = Wired(OUT / "sensor.elf", serial_rate=3, stream=1)
+    board.run(2300)
+    messages = board.serial_messages()
+    names = [m.name for m in messages]
+    assert names.count("HEARTBEAT") == 3
+    assert names.count("RESET_REPORT") == 2
+    assert names.count("EPOCH") >= 20
+    assert names.count("CHIP") > 500
+    busy = (board.ends_ps[-1] - board.ends_ps[0]) / (len(board.ends_ps) - 1) / (10e12 / SERIAL_RATES[3])
+    assert busy < 1.06
+    board.emulator.close()
