@@ -144,7 +144,7 @@ def test_nothing_behind_the_last_place_counts(core):
     ffi, lib = core
     shares = ffi.new("bus_share_t[2]")
     lib.bus_share_start(shares, BIT_S, 0)
-    shares[1].credit_ns, shares[1].filled_us = 7, 10
+    shares[1].bit_ns, shares[1].credit_ns = 7, 10
     assert lib.bus_share_boards(shares, 10) == 1
     lib.bus_share_heard(shares, 7, 10)
     assert lib.bus_share_boards(shares, 10) == 2
