@@ -87,6 +87,36 @@ def test_a_saved_set_overrules_the_page_and_a_parameter_that_is_not_saved_is_gon
     board.close()
 
 
+def baud_of_the_first_heartbeat(board: Board) -> float:
+    """As its first two bytes tell it."""
+    board.run(10 * MS)
+    return 10 * SECOND / (board.serial[1][0] - board.serial[0][0])
+
+
+def test_a_saved_rate_is_that_of_the_next_start_and_a_lost_set_brings_back_the_pages() -> None:
+    """What the board speaks at does not change before."""
+    flash = SavedFlash()
+    page = {"node": 9, "serial_rate": 0}
+    board = flash.board(parameters=page)
+    assert baud_of_the_first_heartbeat(board) == pytest.approx(2_000_000)
+    ask_to_save(board, put(board, 20 * MS, serial_rate=3))
+    board.run(SECOND)
+    start = next(i for i, (time, _) in enumerate(board.serial) if time > 40 * MS)
+    assert [m.signals["status"] for m in board.messages("COMMAND_ANSWER")] == [DONE_RESTARTS]
+    assert (board.serial[start + 1][0] - board.serial[start][0]) == pytest.approx(10e12 / 2e6, rel=1e-3)
+    late = board.serial[-1][0] - board.serial[-2][0]  # It has restarted, as flash was erased.
+    assert late == pytest.approx(10e12 / 115_200, rel=1e-3)
+    board.close()
+    board = flash.board(parameters=page)
+    assert baud_of_the_first_heartbeat(board) == pytest.approx(115_200, rel=1e-3)
+    board.close()
+    for slot in (0, 1):
+        flash.carry_out((slot, None, 0))
+    board = flash.board(parameters=page)
+    assert baud_of_the_first_heartbeat(board) == pytest.approx(2_000_000)
+    board.close()
+
+
 def test_a_new_node_number_is_kept_and_the_old_one_answers_nothing() -> None:
     flash = SavedFlash()
     board = flash.board()
