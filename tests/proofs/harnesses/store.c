@@ -10,9 +10,10 @@
 #undef while
 
 #include "any.h"
+#include "core/link/parameter_set.h"
 
 #define WORDS 4096u
-#define COUNT 1018u
+#define COUNT PARAMETER_SET_WORDS
 #define SMALL 12u
 #define FEW   256u
 
