@@ -11,7 +11,7 @@ from goldfield_protocol import encode
 from goldfield_protocol.parameters import PARAMETERS
 from hil_sim.scenario import Move, Scenario
 from tests.campaign.sensor_kinds import direction
-from tests.campaign.trial import FAULT_S, Kind, Trial
+from tests.campaign.stage import FAULT_S, Kind, Stage
 
 AWAY_S = 1000.0
 """A board that is to stay dead gets its power back so much later, or when somebody gives it."""
@@ -20,13 +20,13 @@ AWAY_S = 1000.0
 def struck(fault: str) -> Kind:
     """Return the kind by which something of one beacon breaks."""
 
-    def begin(trial: Trial) -> None:
-        trial.notes["board"] = trial.follower()
-        trial.rig.fault(trial.notes["board"], fault)
+    def begin(stage: Stage) -> None:
+        stage.notes["board"] = stage.follower()
+        stage.rig.fault(stage.notes["board"], fault)
 
-    def end(trial: Trial) -> None:
-        trial.rig.fault(trial.notes["board"], fault, active=False)
-        trial.clear(trial.notes["board"])
+    def end(stage: Stage) -> None:
+        stage.rig.fault(stage.notes["board"], fault, active=False)
+        stage.clear(stage.notes["board"])
 
     return Kind("beacon", fault, begin, end)
 
@@ -48,39 +48,39 @@ def moved(*steps_m: float) -> Kind:
 def supply(share: float) -> Kind:
     """Return the kind by which the supply of a coil falls to a share."""
 
-    def begin(trial: Trial) -> None:
-        trial.notes["board"] = board = trial.follower()
-        trial.notes["supply_V"] = trial.scenario.beacons[board - 1].circuit.supply_V
-        trial.rig.set_supply_V(board, share * trial.notes["supply_V"])
+    def begin(stage: Stage) -> None:
+        stage.notes["board"] = board = stage.follower()
+        stage.notes["supply_V"] = stage.scenario.beacons[board - 1].circuit.supply_V
+        stage.rig.set_supply_V(board, share * stage.notes["supply_V"])
 
-    def end(trial: Trial) -> None:
-        trial.rig.set_supply_V(trial.notes["board"], trial.notes["supply_V"])
-        trial.clear(trial.notes["board"])
+    def end(stage: Stage) -> None:
+        stage.rig.set_supply_V(stage.notes["board"], stage.notes["supply_V"])
+        stage.clear(stage.notes["board"])
 
     return Kind("beacon", f"supply falls to {100 * share:g} %", begin, end)
 
 
-def dead(name: str, boards: Callable[[Trial], list[int]], lasts_s: float = FAULT_S) -> Kind:
+def dead(name: str, boards: Callable[[Stage], list[int]], lasts_s: float = FAULT_S) -> Kind:
     """Return the kind by which boards lose their power, and get it back."""
 
-    def begin(trial: Trial) -> None:
-        trial.notes["boards"] = boards(trial)
-        for board in trial.notes["boards"]:
-            trial.rig.power_cycle(board, AWAY_S)
+    def begin(stage: Stage) -> None:
+        stage.notes["boards"] = boards(stage)
+        for board in stage.notes["boards"]:
+            stage.rig.power_cycle(board, AWAY_S)
 
-    def end(trial: Trial) -> None:
-        for board in trial.notes["boards"]:
-            trial.rig.power_cycle(board, float(trial.random.uniform(0.0, 0.02)))
+    def end(stage: Stage) -> None:
+        for board in stage.notes["boards"]:
+            stage.rig.power_cycle(board, float(stage.random.uniform(0.0, 0.02)))
 
     return Kind("beacon", name, begin, end, lasts_s=lasts_s)
 
 
-def reset(name: str, boards: Callable[[Trial], list[int]], off_s: float = 0.05) -> Kind:
+def reset(name: str, boards: Callable[[Stage], list[int]], off_s: float = 0.05) -> Kind:
     """Return the kind by which boards lose their power for a moment."""
 
-    def begin(trial: Trial) -> None:
-        for board in boards(trial):
-            trial.rig.power_cycle(board, off_s)
+    def begin(stage: Stage) -> None:
+        for board in boards(stage):
+            stage.rig.power_cycle(board, off_s)
 
     return Kind("beacon", name, begin, lasts_s=off_s + 0.05)
 
@@ -88,34 +88,34 @@ def reset(name: str, boards: Callable[[Trial], list[int]], off_s: float = 0.05) 
 def turned(fault: str, name: str) -> Kind:
     """Return the kind by which a beacon is reset while its wires are exchanged, and again to mend them."""
 
-    def begin(trial: Trial) -> None:
-        trial.notes["board"] = trial.follower()
-        trial.rig.fault(trial.notes["board"], fault)
-        trial.rig.power_cycle(trial.notes["board"], 0.05)
+    def begin(stage: Stage) -> None:
+        stage.notes["board"] = stage.follower()
+        stage.rig.fault(stage.notes["board"], fault)
+        stage.rig.power_cycle(stage.notes["board"], 0.05)
 
-    def end(trial: Trial) -> None:
-        trial.rig.fault(trial.notes["board"], fault, active=False)
-        trial.rig.power_cycle(trial.notes["board"], 0.05)
+    def end(stage: Stage) -> None:
+        stage.rig.fault(stage.notes["board"], fault, active=False)
+        stage.rig.power_cycle(stage.notes["board"], 0.05)
 
     return Kind("beacon", name, begin, end)
 
 
-def some(count: int) -> Callable[[Trial], list[int]]:
+def some(count: int) -> Callable[[Stage], list[int]]:
     """Return what draws so many beacons that do not lead."""
-    return lambda trial: [int(board) for board in 2 + trial.random.choice(trial.beacons - 1, count, replace=False)]
+    return lambda stage: [int(board) for board in 2 + stage.random.choice(stage.beacons - 1, count, replace=False)]
 
 
-def told(name: str, parameter: str, value: Callable[[Trial, int], float]) -> Kind:
+def told(name: str, parameter: str, value: Callable[[Stage, int], float]) -> Kind:
     """Return the kind by which a stranger sets a parameter of a beacon, which is reset later."""
 
-    def begin(trial: Trial) -> None:
-        trial.notes["board"] = board = trial.follower()
+    def begin(stage: Stage) -> None:
+        stage.notes["board"] = board = stage.follower()
         described = PARAMETERS[parameter]
-        signals = {"kind": int(described.kind), f"value_{described.kind.name.lower()}": value(trial, board)}
-        node = trial.scenario.beacons[board - 1].node
-        trial.rig.can_write(*encode("PARAM_SET", signals, node=node, index=described.first))
+        signals = {"kind": int(described.kind), f"value_{described.kind.name.lower()}": value(stage, board)}
+        node = stage.scenario.beacons[board - 1].node
+        stage.rig.can_write(*encode("PARAM_SET", signals, node=node, index=described.first))
 
-    return Kind("beacon", name, begin, lambda trial: trial.rig.power_cycle(trial.notes["board"], 0.01))
+    return Kind("beacon", name, begin, lambda stage: stage.rig.power_cycle(stage.notes["board"], 0.01))
 
 
 BEACONS = [
@@ -136,13 +136,13 @@ BEACONS = [
     dead("one dies", some(1)),
     dead("two die", some(2)),
     dead("four die", some(4)),
-    dead("the sync master dies", lambda trial: [trial.scenario.sync_master]),
-    dead("the sync master is dead for 30 s", lambda trial: [trial.scenario.sync_master], 30.0),
-    dead("all die", lambda trial: list(range(1, 1 + trial.beacons))),
+    dead("the sync master dies", lambda stage: [stage.scenario.sync_master]),
+    dead("the sync master is dead for 30 s", lambda stage: [stage.scenario.sync_master], 30.0),
+    dead("all die", lambda stage: list(range(1, 1 + stage.beacons))),
     reset("one is reset", some(1)),
-    reset("the sync master is reset", lambda trial: [trial.scenario.sync_master]),
-    reset("all are reset", lambda trial: list(range(1, 1 + trial.beacons))),
+    reset("the sync master is reset", lambda stage: [stage.scenario.sync_master]),
+    reset("all are reset", lambda stage: list(range(1, 1 + stage.beacons))),
     turned("bridge_swapped", "comes back with its bridge swapped"),
     turned("coil_reversed", "comes back with its coil reversed"),
-    told("a stranger sets half the amplitude", "amplitude", lambda trial, board: 5.0),
+    told("a stranger sets half the amplitude", "amplitude", lambda stage, board: 5.0),
 ]

@@ -10,7 +10,7 @@ from hil_sim.scenario import Bring, Scenario
 from hil_sim.world.ball import Ball
 from hil_sim.world.metal import Body
 from hil_sim.world.sheet import Sheet
-from tests.campaign.trial import HIGH_M, LOW_M, Kind
+from tests.campaign.stage import HIGH_M, LOW_M, Kind
 
 STEP_S = 0.1
 """The body stands still for so long, and is then a step further: 3 cm at a walk of 0.3 m/s."""

@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
-from tests.campaign.trial import Killed, Kind, Trial
+from tests.campaign.stage import Killed, Kind, Stage
 
 TAKES_S = 0.25
 """A slow consumer takes so long for each pose, two and a half cycles."""
 
 
-def killed(trial: Trial) -> None:
+def killed(stage: Stage) -> None:
     """End the host as a signal does: nothing of it is left, and a new one starts when the fault is mended."""
-    trial.rig.advance(trial.kind.lasts_s)
+    stage.rig.advance(stage.kind.lasts_s)
     raise Killed
 
 
-def slow(trial: Trial) -> None:
+def slow(stage: Stage) -> None:
     """Let whoever takes the poses be slower than they come."""
-    trial.takes_s = TAKES_S
+    stage.takes_s = TAKES_S
 
 
-def fast(trial: Trial) -> None:
+def fast(stage: Stage) -> None:
     """Let them be taken as they come."""
-    trial.takes_s = 0.0
+    stage.takes_s = 0.0
 
 
 HOST = [

@@ -1,4 +1,4 @@
-"""The kinds of faults: what begins each, and what mends it. A generator of the trial's seed draws where it strikes."""
+"""The kinds of faults: what begins each, and what mends it. A generator of the stage's seed draws where it strikes."""
 
 from __future__ import annotations
 
@@ -7,26 +7,26 @@ from tests.campaign.carried import CARRIED
 from tests.campaign.host_kinds import HOST
 from tests.campaign.link_kinds import LINKS
 from tests.campaign.sensor_kinds import SENSOR, SURROUNDINGS
+from tests.campaign.stage import Kind, Stage
 from tests.campaign.time_kinds import TIME
-from tests.campaign.trial import Kind, Trial
 from tests.campaign.wire_kinds import GLITCHES, WIRES
 
 
 def pair(first: Kind, second: Kind) -> Kind:
     """Return the kind by which two things go wrong at once."""
 
-    def begin(trial: Trial) -> None:
-        first.begin(trial)
-        trial.notes["second"] = {}
-        trial.notes, kept = trial.notes["second"], trial.notes
-        second.begin(trial)
-        trial.notes, trial.notes["first"] = trial.notes, kept
+    def begin(stage: Stage) -> None:
+        first.begin(stage)
+        stage.notes["second"] = {}
+        stage.notes, kept = stage.notes["second"], stage.notes
+        second.begin(stage)
+        stage.notes, stage.notes["first"] = stage.notes, kept
 
-    def end(trial: Trial) -> None:
-        kept = trial.notes
-        second.end(trial)
-        trial.notes = kept["first"]
-        first.end(trial)
+    def end(stage: Stage) -> None:
+        kept = stage.notes
+        second.end(stage)
+        stage.notes = kept["first"]
+        first.end(stage)
 
     serial = first.serial or second.serial
     return Kind("pair", f"{first.name} + {second.name}", begin, end, first.plan or second.plan, serial=serial)

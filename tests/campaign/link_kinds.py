@@ -11,15 +11,15 @@ import numpy as np
 from hil_sim.rig import Rig
 from hil_sim.world.roaming import Roaming
 from tests.campaign import links
-from tests.campaign.trial import HIGH_M, LOW_M, RATE_RAD_S, SPEED_M_S, Kind, Trial
+from tests.campaign.stage import HIGH_M, LOW_M, RATE_RAD_S, SPEED_M_S, Kind, Stage
 from tests.campaign.wire_kinds import quiet
 
 
 def spoilt(name: str, spoil: Callable[[np.random.Generator], links.Spoil], *, serial: bool) -> Kind:
     """Return the kind by which what the host gets is spoilt."""
 
-    def begin(trial: Trial) -> None:
-        trial.link.spoil = spoil(trial.random)
+    def begin(stage: Stage) -> None:
+        stage.link.spoil = spoil(stage.random)
 
     return Kind("serial" if serial else "CAN", name, begin, quiet, serial=serial)
 
@@ -27,61 +27,61 @@ def spoilt(name: str, spoil: Callable[[np.random.Generator], links.Spoil], *, se
 def flooded(name: str, identifier: int) -> Kind:
     """Return the kind by which a node that babbles asks for the bus all the time."""
 
-    def begin(trial: Trial) -> None:
+    def begin(stage: Stage) -> None:
         def spoil(frames: Any) -> Any:
             for _ in range(100):
-                trial.rig.can_write(identifier, bytes(8))
+                stage.rig.can_write(identifier, bytes(8))
             return [frame for frame in frames if frame.identifier != identifier]
 
-        trial.link.spoil = spoil
+        stage.link.spoil = spoil
 
     return Kind("CAN", name, begin, quiet, lasts_s=1.0)
 
 
 def errors(probability: float) -> Kind:
     """Return the kind by which bits on the bus are wrong."""
-    begin = lambda trial: trial.rig.can_errors(probability)  # noqa: E731
-    return Kind("CAN", f"bit errors {probability:g}", begin, lambda trial: trial.rig.can_errors(0.0))
+    begin = lambda stage: stage.rig.can_errors(probability)  # noqa: E731
+    return Kind("CAN", f"bit errors {probability:g}", begin, lambda stage: stage.rig.can_errors(0.0))
 
 
-def again(trial: Trial) -> None:
+def again(stage: Stage) -> None:
     """Let the sensor's frames of half a second ago come once more."""
     kept: list[Any] = []
-    node = trial.scenario.sensor.node
+    node = stage.scenario.sensor.node
 
     def spoil(frames: Any) -> Any:
         kept.append([frame for frame in frames if frame.identifier & 0xFFF == node])
         return [*frames, *(kept.pop(0) if len(kept) > 25 else [])]
 
-    trial.link.spoil = spoil
+    stage.link.spoil = spoil
 
 
-def twin(trial: Trial) -> None:
+def twin(stage: Stage) -> None:
     """Let a second sensor have the first one's number: that of a bench of its own, which roams on another path."""
-    motion = Roaming(trial.seed + 1000, LOW_M, HIGH_M, SPEED_M_S, RATE_RAD_S)
-    second = Rig(replace(trial.scenario, motion=motion, seed=trial.seed + 1000), trial.boards)
-    trial.notes["second"] = second
-    second.advance(trial.rig.now_s)
+    motion = Roaming(stage.seed + 1000, LOW_M, HIGH_M, SPEED_M_S, RATE_RAD_S)
+    second = Rig(replace(stage.scenario, motion=motion, seed=stage.seed + 1000), stage.boards)
+    stage.notes["second"] = second
+    second.advance(stage.rig.now_s)
     second.can_read()
-    node = trial.scenario.sensor.node
+    node = stage.scenario.sensor.node
 
     def spoil(frames: Any) -> Any:
-        second.advance(max(trial.rig.now_s - second.now_s, 0.0))
+        second.advance(max(stage.rig.now_s - second.now_s, 0.0))
         others = [frame for frame in second.can_read() if frame.identifier & 0xFFF == node]
         return sorted([*frames, *others], key=lambda frame: frame.time_s)
 
-    trial.link.spoil = spoil
+    stage.link.spoil = spoil
 
 
-def twin_gone(trial: Trial) -> None:
+def twin_gone(stage: Stage) -> None:
     """Take the second sensor away."""
-    quiet(trial)
-    trial.notes["second"].close()
+    quiet(stage)
+    stage.notes["second"].close()
 
 
-def paused(trial: Trial) -> None:
+def paused(stage: Stage) -> None:
     """Let the host sleep as long as the fault lasts: the boards go on, and what the link keeps comes in one piece."""
-    trial.rig.advance(trial.kind.lasts_s)
+    stage.rig.advance(stage.kind.lasts_s)
 
 
 BABBLE_FIRST, BABBLE_LAST = 0x00000000, 0x1FFFFFFF

@@ -11,7 +11,7 @@ from hil_sim.scenario import Ambient, Bring, Scenario
 from hil_sim.scenario.parts import Impulses, Mains
 from hil_sim.world.magnet import Magnet
 from hil_sim.world.sheet import Sheet
-from tests.campaign.trial import LOW_M, Kind, Trial
+from tests.campaign.stage import LOW_M, Kind, Stage
 
 
 def direction(random: np.random.Generator) -> Any:
@@ -26,24 +26,24 @@ def direction(random: np.random.Generator) -> Any:
 def axis(fault: str, value: float = 0.0) -> Kind:
     """Return the kind by which one axis fails."""
 
-    def begin(trial: Trial) -> None:
-        trial.notes["axis"] = int(trial.random.integers(3))
-        trial.rig.sensor_fault(trial.notes["axis"], fault, value)
+    def begin(stage: Stage) -> None:
+        stage.notes["axis"] = int(stage.random.integers(3))
+        stage.rig.sensor_fault(stage.notes["axis"], fault, value)
 
     name = f"axis {fault}" + (f" {value:g}" if fault in ("gain", "bit_high", "bit_low") else "")
-    return Kind("sensor", name, begin, lambda trial: trial.rig.sensor_fault(trial.notes["axis"], "sound"))
+    return Kind("sensor", name, begin, lambda stage: stage.rig.sensor_fault(stage.notes["axis"], "sound"))
 
 
 def all_axes(name: str, *faults: tuple[str, float]) -> Kind:
     """Return the kind by which all axes fail, each in its way."""
 
-    def begin(trial: Trial) -> None:
+    def begin(stage: Stage) -> None:
         for number, (fault, value) in enumerate(faults):
-            trial.rig.sensor_fault(number, fault, value)
+            stage.rig.sensor_fault(number, fault, value)
 
-    def end(trial: Trial) -> None:
+    def end(stage: Stage) -> None:
         for number in range(3):
-            trial.rig.sensor_fault(number, "sound")
+            stage.rig.sensor_fault(number, "sound")
 
     return Kind("sensor", name, begin, end)
 
@@ -67,21 +67,21 @@ SENSOR = [
 def surroundings(name: str, **changes: Any) -> Kind:
     """Return the kind by which the ambient fields become others."""
 
-    def begin(trial: Trial) -> None:
-        trial.rig.surround(replace(trial.scenario.ambient, **changes))
+    def begin(stage: Stage) -> None:
+        stage.rig.surround(replace(stage.scenario.ambient, **changes))
 
-    return Kind("surroundings", name, begin, lambda trial: trial.rig.surround(trial.scenario.ambient))
+    return Kind("surroundings", name, begin, lambda stage: stage.rig.surround(stage.scenario.ambient))
 
 
 def earth(step_T: float) -> Kind:
     """Return the kind by which the constant field jumps."""
 
-    def begin(trial: Trial) -> None:
-        ambient: Ambient = trial.scenario.ambient
-        trial.rig.surround(replace(ambient, earth_T=ambient.earth_T + step_T * direction(trial.random)))
+    def begin(stage: Stage) -> None:
+        ambient: Ambient = stage.scenario.ambient
+        stage.rig.surround(replace(ambient, earth_T=ambient.earth_T + step_T * direction(stage.random)))
 
-    def end(trial: Trial) -> None:
-        trial.rig.surround(trial.scenario.ambient)
+    def end(stage: Stage) -> None:
+        stage.rig.surround(stage.scenario.ambient)
 
     return Kind("surroundings", f"constant field jumps {step_T * 1e6:g} uT", begin, end)
 

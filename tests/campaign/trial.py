@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -14,26 +13,22 @@ from numpy.typing import NDArray
 
 from goldfield import site as sites
 from goldfield.errors import SystemFailure, UserError
-from goldfield.nodes.conversation import CLEAR
 from goldfield.sensor import dialogue, session
 from goldfield.sensor.options import Method, Options
 from goldfield.sensor.pipeline import Epoch, Sensor
 from goldfield.types import Status
-from goldfield_protocol import encode
-from hil_sim.rig import Rig, Truth
-from hil_sim.scenario import Scenario, load_scenario, site_toml
+from hil_sim.rig import Truth
+from hil_sim.scenario import load_scenario, site_toml
 from hil_sim.world.roaming import Roaming
 from tests.campaign.links import CanLink, SerialLink
+from tests.campaign.stage import CYCLE_S, HIGH_M, LOW_M, RATE_RAD_S, SPEED_M_S, Killed, Kind, Stage
 
 FloatArray = NDArray[np.float64]
 
-CYCLE_S = 1023 * 16422 / 168e6
 BOOT_S = 2.5
 """Virtual time in which boards boot, synchronise and ramp up their currents."""
-SOUND_S, FAULT_S, AFTER_S = 1.5, 4.0, 6.0
-"""How long the bench is watched before the fault, while it lasts, and behind it."""
-CLEAR_S = 0.5
-"""So long after the mending a host clears what is latched: while a current still decays a board would refuse."""
+SOUND_S, AFTER_S = 1.5, 6.0
+"""How long the bench is watched before the fault and behind it."""
 TRANSFER_S = 0.005
 """About so long after the end of a cycle its last message is there."""
 LATE_CYCLES = 5
@@ -45,46 +40,6 @@ SILENCE_S = 0.35
 SURE = (Status.OK, Status.UNVERIFIED)
 STEADY = 5
 """So many poses in a row that have nothing to say end the recovery."""
-LOW_M, HIGH_M = np.array([0.4, 0.4, 0.4]), np.array([1.7, 1.7, 1.4])
-SPEED_M_S, RATE_RAD_S = 0.3, 0.3
-
-
-@dataclass(frozen=True)
-class Kind:
-    """A kind of fault.
-
-    Attributes
-    ----------
-    group, name : str
-    begin : callable
-        Takes the `Trial` at the moment of the fault.
-    end : callable
-        Takes it when the fault is mended.
-    plan : callable, optional
-        Takes scenario, begin and end (s) and a generator, and returns the scenario in which it happens by itself.
-    serial : bool
-        The host reads the sensor's serial port, not CAN.
-    lasts_s : float
-        How long it lasts.
-    by_arrival : bool
-        No number tells which cycle it was, as two masters drove the wire: the moment of its last message does, on CAN.
-    emulated : bool
-        Only an emulated board can have it.
-    """
-
-    group: str
-    name: str
-    begin: Callable[[Trial], None] = lambda trial: None
-    end: Callable[[Trial], None] = lambda trial: None
-    plan: Callable[[Scenario, float, float, np.random.Generator], Scenario] | None = None
-    serial: bool = False
-    lasts_s: float = FAULT_S
-    by_arrival: bool = False
-    emulated: bool = False
-
-
-class Killed(Exception):
-    """The host is killed: what it was told is gone, and a new one starts."""
 
 
 @dataclass
@@ -134,58 +89,23 @@ class Outcome:
         return asdict(self)
 
 
-class Trial:
-    """A bench with a host that reads it; `run` plays the fault.
-
-    Attributes
-    ----------
-    rig : Rig
-    link : CanLink or SerialLink
-    boards : str
-        Which boards the rig has: "host" or "emulated".
-    random : numpy.random.Generator
-        Draws what of the kind is not fixed: which beacon, which axis.
-    scenario : Scenario
-    notes : dict
-        What `begin` leaves for `end`.
-    takes_s : float
-        How long, in virtual time, a pose is taken for before the next one is asked for.
-    """
+class Trial(Stage):
+    """A bench with a host that reads it; `run` plays the fault. Its attributes are those of `Stage`."""
 
     def __init__(self, kind: Kind, seed: int, boards: str = "host") -> None:
-        self.kind, self.seed, self.boards = kind, seed, boards
-        self.random = np.random.default_rng([seed, 16])
-        self.at_s = BOOT_S + SOUND_S + float(self.random.uniform(0.0, 0.2))
+        random = np.random.default_rng([seed, 16])
+        self.kind = kind
+        self.at_s = BOOT_S + SOUND_S + float(random.uniform(0.0, 0.2))
         self.until_s = self.at_s + kind.lasts_s
         motion = Roaming(seed, LOW_M, HIGH_M, SPEED_M_S, RATE_RAD_S)
-        self.scenario = replace(load_scenario("prigge8", seed), motion=motion)
+        scenario = replace(load_scenario("prigge8", seed), motion=motion)
         if kind.plan is not None:
-            self.scenario = kind.plan(self.scenario, self.at_s, self.until_s, self.random)
-        self.notes: dict[str, Any] = {}
-        self.takes_s = 0.0
+            scenario = kind.plan(scenario, self.at_s, self.until_s, random)
+        super().__init__(scenario, seed, boards, random)
+        self.at(self.at_s, kind.begin)
+        self.at(self.until_s, kind.end)
         self._seen: list[tuple[float, float, Epoch]] = []
         self._truth: list[Truth] = []
-        self._due = [(self.at_s, kind.begin), (self.until_s, kind.end)]
-        self.rig = Rig(self.scenario, boards)
-        self.link: CanLink | SerialLink
-
-    @property
-    def beacons(self) -> int:
-        """How many beacons there are; board 1 is the first."""
-        return len(self.scenario.beacons)
-
-    def follower(self) -> int:
-        """Draw a beacon that is not the sync master."""
-        others = [board for board in range(1, 1 + self.beacons) if board != self.scenario.sync_master]
-        return int(self.random.choice(others))
-
-    def clear(self, board: int) -> None:
-        """Let a host clear, a moment from now, why a beacon's drive is off, as ``goldfield nodes clear`` does."""
-        unique = self.rig.unique_id(board)
-        own = int.from_bytes(unique[:6], "little") ^ int.from_bytes(unique[6:], "little")
-        node = self.scenario.beacons[board - 1].node
-        request = encode("COMMAND", {"board": own, "argument": 0}, node=node, index=CLEAR)
-        self._due.append((self.rig.now_s + CLEAR_S, lambda trial: trial.rig.can_write(*request)))
 
     def run(self) -> Outcome:
         """Play it."""
@@ -200,7 +120,7 @@ class Trial:
 
     def _play(self, outcome: Outcome) -> None:
         self.rig.advance(BOOT_S)
-        self.link = (SerialLink if self.kind.serial else CanLink)(self.rig, self._tick)
+        self.link = (SerialLink if self.kind.serial else CanLink)(self.rig, self.tick)
         with tempfile.TemporaryDirectory() as name:
             site_file = Path(name) / "site.toml"
             site_file.write_text(site_toml(self.scenario))
@@ -211,12 +131,6 @@ class Trial:
                     with Sensor(self.link, "rig", sites.load(site_file), options) as sensor:
                         again = self._watch(sensor, outcome)
         self._judge(self._seen, self._truth, outcome)
-
-    def _tick(self) -> None:
-        """Begin and end the fault when it is time."""
-        if self._due and self.rig.now_s >= self._due[0][0]:
-            _, happen = self._due.pop(0)
-            happen(self)
 
     def _watch(self, sensor: Sensor, outcome: Outcome) -> bool:
         """Take poses to the end, with the fault in between; return whether a new host is to go on."""
