@@ -66,6 +66,8 @@ class Board:
         Counts since reset, by name; empty if the board keeps none.
     cells : callable
         Its flash, for when it has power again; None if the board has no flash of its own.
+    crystal : callable, optional
+        Gives its crystal another error, ppm, from the board's present on; a board without drifts by its `Clock`.
     keep : object
         Whatever must live as long as the board.
     """
@@ -75,6 +77,7 @@ class Board:
     destroy: Callable[[], None]
     statistics: Callable[[], Mapping[str, float]] = dict
     cells: Callable[[], bytes | None] = lambda: None
+    crystal: Callable[[float], bool] | None = None
     keep: Any = field(default=None, repr=False)
 
 
@@ -120,6 +123,7 @@ class HostBoards:
             instance=address(ffi, instance),
             operations=address(ffi, operations),
             destroy=lambda: operations.destroy(instance),
+            crystal=lambda ppm: bool(library.host_board_crystal(instance, ppm)),
         )
 
 

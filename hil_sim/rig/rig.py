@@ -253,6 +253,10 @@ class Rig:
         """Return the unique id of a board's processor, 12 bytes."""
         return self._specs[board].unique_id
 
+    def power_on_s(self, board: int) -> float:
+        """Return the virtual time at which a board got its power last, or is to get it."""
+        return self._specs[board].power_on_ps * 1e-12
+
     def report(self, board: int) -> str:
         """Return a board's own words: why it stopped, or its violations so far."""
         operations = self._ffi.cast("board_operations_t *", self._boards[board].operations)
@@ -376,10 +380,17 @@ class Rig:
         While nobody drives it the cycles go on.
         """
         self._check_sensor(board)
+        return [
+            truth_at(self.scenario.installed.at(middle_s).motion_of(board), cycle, middle_s, duration_s)
+            for cycle, middle_s, duration_s in self.cycles(board)
+        ]
+
+    def cycles(self, board: int = SENSOR) -> list[tuple[int, float, float]]:
+        """Take number, middle and duration, s, of the cycles that `truth` would tell of, but not where a sensor was."""
         cycles = 1 << max(0, 10 - self.scenario.degree)
         cycle_ps = ((1 << self.scenario.degree) - 1) * CHIP_PS
         times = self._ffi.new("int64_t[]", 1024)
-        result: list[Truth] = []
+        result: list[tuple[int, float, float]] = []
         while True:
             first = self._truth_edges[board]
             count = int(self._library.rig_sync_edges(self._rig, first, times, len(times)))
@@ -390,9 +401,7 @@ class Rig:
                 parts = cycles * max(1, round((end - start) / (cycles * cycle_ps)))
                 for part in range(parts):
                     middle_s = 1e-12 * (start + (end - start) * (part + 0.5) / parts)
-                    duration_s = 1e-12 * (end - start) / parts
-                    motion = self.scenario.installed.at(middle_s).motion_of(board)
-                    result.append(truth_at(motion, self._truth_cycles[board], middle_s, duration_s))
+                    result.append((self._truth_cycles[board], middle_s, 1e-12 * (end - start) / parts))
                     self._truth_cycles[board] += 1
             self._truth_edges[board] += available - 1
 
@@ -486,6 +495,22 @@ class Rig:
             If it is no emulated board.
         """
         self._emulator(board).crystal(alive)
+
+    def drift(self, board: int, by_ppm: float) -> None:
+        """Let a host board's crystal be faster by so much from the present on, also when it is switched on again.
+
+        Raises
+        ------
+        UserError
+            If it is no host board, or the error leaves +-100,000 ppm.
+        """
+        spec, crystal = self._specs[board], self._boards[board].crystal
+        if crystal is None:
+            raise UserError(f"{self.board_name(board)} is no host board: it drifts by crystal_ppm_per_s of its clock")
+        ppm = spec.clock.crystal_ppm + by_ppm
+        if not crystal(ppm):
+            raise UserError(f"the crystal of {self.board_name(board)} cannot be off by {ppm:g} ppm")
+        self._specs[board] = replace(spec, clock=replace(spec.clock, crystal_ppm=ppm))
 
     def supply(self, board: int, volts: float) -> None:
         """Set the supply of an emulated board's chip, 3.3 V before, at the present; see `crystal`."""

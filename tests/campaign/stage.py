@@ -104,7 +104,7 @@ class Stage:
         self.notes: dict[str, Any] = {}
         self.takes_s = 0.0
         self._due: list[_Due] = []
-        self.rig = Rig(scenario, boards)
+        self.rig = Rig(scenario, boards, threads=1)  # Trials run side by side, a process each.
 
     @property
     def beacons(self) -> int:

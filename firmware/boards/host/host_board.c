@@ -220,7 +220,8 @@ static void restart(board_t *board, hal_reset_cause_t cause) {
     hal->reset.cause = cause;
     hal->reset.counts[cause]++;
     hal->reset.uptime_s = (uint32_t)(hal_microseconds(hal) / 1000000u);
-    hal->power_on_ps = hal->now_ps;
+    hal->power_on_ps = hal->since_ps = hal->now_ps;
+    hal->since_tick = 0;
     hal->tick_ps = INT64_MIN;
     memset(&hal->engine, 0, sizeof hal->engine);
     memset(&hal->transmitter, 0, sizeof hal->transmitter);
@@ -420,8 +421,16 @@ static void board_destroy(board_t *board) {
     }
 }
 
+static uint64_t tick_q32(double crystal_ppm) {
+    return (uint64_t)(4294967296.0 * 1e12 / (HAL_TICKS_PER_SECOND * (1.0 + crystal_ppm * 1e-6)) + 0.5);
+}
+
+static bool crystal_in_range(double crystal_ppm) {
+    return fabs(crystal_ppm) <= 100000.0;
+}
+
 board_t *host_board_create(const host_board_config_t *config, const board_edge_t *edge, int64_t power_on_ps) {
-    if (!(fabs(config->crystal_ppm) <= 100000.0)) {
+    if (!crystal_in_range(config->crystal_ppm)) {
         return NULL;
     }
     board_t *board = calloc(1, sizeof *board);
@@ -432,7 +441,7 @@ board_t *host_board_create(const host_board_config_t *config, const board_edge_t
     hal->due_ps = hal->tick_ps = INT64_MIN;
     hal->edge = *edge;
     hal->config = *config;
-    hal->power_on_ps = power_on_ps;
+    hal->power_on_ps = hal->since_ps = power_on_ps;
     hal->now_ps = power_on_ps < 0 ? power_on_ps : 0;
     hal->reset.cause = HAL_RESET_POWER_ON;
     hal->reset.counts[HAL_RESET_POWER_ON] = 1;
@@ -440,7 +449,7 @@ board_t *host_board_create(const host_board_config_t *config, const board_edge_t
     hal->bus_bit_s = BOARD_CAN_BIT_S;
     memset(hal->own_flash, 0xFF, sizeof hal->own_flash);
     hal->flash = (host_flash_t){.slot = {hal->own_flash[0], hal->own_flash[1]}};
-    hal->tick_q32 = (uint64_t)(4294967296.0 * 1e12 / (HAL_TICKS_PER_SECOND * (1.0 + config->crystal_ppm * 1e-6)) + 0.5);
+    hal->tick_q32 = tick_q32(config->crystal_ppm);
     return board;
 }
 
@@ -457,6 +466,21 @@ void host_board_fail(board_t *board, host_failure_t failure, bool active) {
     board->hal.awake = true;
     board->hal.due_ps = INT64_MIN;
     board->hal.idle_tick = host_tick(&board->hal);
+}
+
+bool host_board_crystal(board_t *board, double crystal_ppm) {
+    hal_t *const hal = &board->hal;
+    if (!crystal_in_range(crystal_ppm)) {
+        return false;
+    }
+    if (hal->now_ps > hal->power_on_ps) {
+        const int64_t under_way = host_tick(hal);
+        hal->since_ps = host_time(hal, under_way);
+        hal->since_tick = under_way;
+    }
+    hal->tick_q32 = tick_q32(crystal_ppm);
+    hal->due_ps = INT64_MIN;
+    return true;
 }
 
 const board_operations_t host_board_operations = {

@@ -38,6 +38,10 @@ void host_board_images(board_t *board, const host_images_t *images);
 /* Make something fail, or mend it, at the board's present. */
 void host_board_fail(board_t *board, host_failure_t failure, bool active);
 
+/* Let the crystal have another error from the board's present on, as warmth does.
+ * Returns false if crystal_ppm is out of range. */
+bool host_board_crystal(board_t *board, double crystal_ppm);
+
 /* How the outside acts on the board. run() costs a few microseconds of this machine for a chip and always returns
  * BOARD_OK; report() is empty. A pin, a port or a mailbox that the board does not have is ignored. */
 extern const board_operations_t host_board_operations;

@@ -100,7 +100,9 @@ struct hal {
     board_edge_t edge;
     host_board_config_t config;
     int64_t power_on_ps;
-    uint64_t tick_q32;     /* Length of a tick, ps times 2^32. */
+    uint64_t tick_q32;     /* Length of a tick, ps times 2^32, since the crystal last changed: */
+    int64_t since_ps;      /* that was at this time, */
+    int64_t since_tick;    /* at this tick. */
     int64_t tick_ps, tick; /* A time and its tick: as a rule the present, which is asked for again and again. */
     bool reset_wanted;     /* The application has asked for a reset, which comes at the end of its turn. */
     bool awake;            /* There was an interrupt since the main loop last ran. */
@@ -138,15 +140,15 @@ struct hal {
 
 __extension__ typedef unsigned __int128 wide_t;
 
-/* Returns the tick under way at a time, since power-on; the time is not before that. */
+/* Returns the tick under way at a time, since power-on; the time is not before the crystal last changed. */
 static inline int64_t host_tick_at(const hal_t *hal, int64_t time_ps) {
-    return (int64_t)(((wide_t)(uint64_t)(time_ps - hal->power_on_ps) << 32) / hal->tick_q32);
+    return hal->since_tick + (int64_t)(((wide_t)(uint64_t)(time_ps - hal->since_ps) << 32) / hal->tick_q32);
 }
 
 /* Returns the time of a tick, rounded up, so that host_tick_at() gives the tick back. */
 static inline int64_t host_time(const hal_t *hal, int64_t tick) {
-    const wide_t product = (wide_t)(uint64_t)tick * hal->tick_q32;
-    return hal->power_on_ps + (int64_t)((product + 0xFFFFFFFFu) >> 32);
+    const wide_t product = (wide_t)(uint64_t)(tick - hal->since_tick) * hal->tick_q32;
+    return hal->since_ps + (int64_t)((product + 0xFFFFFFFFu) >> 32);
 }
 
 /* Returns the present in ticks of the board's clock since power-on. */
