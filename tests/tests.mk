@@ -96,6 +96,12 @@ long-run: all ## Run a beacon and a sensor, emulated, for an hour of their time:
 
 .PHONY: long-run
 
+DAY ?=
+day-run: all ## A day of host boards with drift, faults and motion: poses, counters, memory (hours; DAY="--hours 0.5")
+	@OPENBLAS_NUM_THREADS=1 $(PYTHON) -m tests.bench.day_run $(DAY)
+
+.PHONY: day-run
+
 track-figures: $(BUILD)/venv.stamp ## Measure and print what is reached on a moving sensor (several minutes)
 	@$(PYTHON) -m tests.bench.track_figures
 

@@ -1,7 +1,7 @@
 """A day of a bench of host boards, with drift, faults and motion: no leak, no wrong pose, every counter explained.
 
     make day-run                                            24 h of virtual time
-    python -m tests.bench.day_run --hours 0.5 --seed 3      half an hour
+    make day-run DAY="--hours 0.5 --seed 3"                 half an hour
 
 Five beacons of ``prigge8``, of which the first is the sync master and the second its deputy, and a sensor that roams.
 Their crystals differ, and drift with a temperature that goes up and down over the day and within hours; the constant
