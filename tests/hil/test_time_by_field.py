@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -35,14 +36,15 @@ WRONG = chi2.ppf(1.0 - 1e-6, 3)
 class Watch:
     """A bench whose boards choose their source of time, and what its sensor tells, since the latest look."""
 
-    def __init__(self, directory: Path, changes: dict[str, str]) -> None:
-        text = (SCENARIOS / "prigge8.toml").read_text(encoding="utf-8")
+    def __init__(self, directory: Path, changes: dict[str, str], boards: str = "host", beacons: int = 8) -> None:
+        head, *tables = (SCENARIOS / "prigge8.toml").read_text(encoding="utf-8").split("[[beacon]]")
+        text = "[[beacon]]".join([head, *tables[:beacons]])
         for old, new in {"seed =": 'sync = "automatic"\nseed =', **changes}.items():
             assert old in text
             text = text.replace(old, new, 1)
         path = directory / "automatic.toml"
         path.write_text(text, encoding="utf-8")
-        self.bench = SimulatedBench(str(path), "host", directory)
+        self.bench = SimulatedBench(str(path), boards, directory)
         self.rig = self.bench.rig
         self._decoder = FrameDecoder()
         self.reports: list[Report] = []
@@ -103,8 +105,8 @@ class Watch:
 def watch(tmp_path: Path) -> Iterator[Callable[..., Watch]]:
     opened: list[Watch] = []
 
-    def make(changes: dict[str, str] | None = None) -> Watch:
-        opened.append(Watch(tmp_path, changes or {}))
+    def make(changes: dict[str, str] | None = None, **bench: Any) -> Watch:
+        opened.append(Watch(tmp_path, changes or {}, **bench))
         return opened[-1]
 
     yield make
@@ -128,6 +130,20 @@ def test_wire_then_can_then_field_and_back_without_a_wrong_pose(watch: Callable[
     assert followed == [CAN, FIELD, CAN, FIELD, WIRE, WIRE]
     assert made.changes() == 5
     assert np.abs(made.told("EPOCH_STATUS", "phase")[-10:]).max() < 100.0
+
+
+def test_the_image_goes_over_from_wire_to_can_to_field_and_back(watch: Callable[..., Watch]) -> None:
+    """Three beacons and a sensor, emulated: too few for a sound pose, enough to be followed."""
+    made = watch(boards="emulated", beacons=3)
+    followed = []
+    for wire, can in ((True, True), (False, True), (False, False), (True, False)):
+        made.wire(wire)
+        made.can(can)
+        made.run(2.5)
+        made.check_in_step()
+        followed.append(made.source())
+    assert followed == [WIRE, CAN, FIELD, WIRE]
+    assert made.changes() == 3
 
 
 def test_goes_over_after_five_silent_periods_and_returns_after_ten_edges(watch: Callable[..., Watch]) -> None:
