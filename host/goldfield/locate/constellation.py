@@ -108,6 +108,13 @@ class Constellation:
         return find_mirrors(self.model)
 
     @cached_property
+    def mirrors_without_one(self) -> tuple[tuple[int, Mirror], ...]:
+        """The same of the others where one beacon, given by its row, is not looked at."""
+        everyone = range(len(self.model))
+        others = [self.model.subset(np.delete(everyone, row)) for row in everyone]
+        return tuple((row, mirror) for row, model in enumerate(others) for mirror in find_mirrors(model))
+
+    @cached_property
     def _spread(self) -> Spread:
         return Spread(self.model.centre_m)
 

@@ -15,6 +15,7 @@ from goldfield.locate.budget import Budget
 from goldfield.locate.constellation import Constellation, audible
 from goldfield.locate.fault_statistics import alarm, fault_statistics
 from goldfield.locate.fit import Measurements
+from goldfield.locate.images import image_distance_m
 from goldfield.locate.integrity import Verdict, explain
 from goldfield.locate.poses import Judged, poses_of
 from goldfield.locate.sensor_axes import axes_of
@@ -178,7 +179,8 @@ class Locator:
                 if verdict.rest is not None:
                     e = int(some[i])
                     poses[e] = self._pose_of_rest(epochs[e], rows, constellation, given.take(np.array([i])), verdict)
-            judged = Judged(self.site, constellation.model, names, given, found, statistics, verdicts)
+            images = image_distance_m(constellation, given, found.best, statistics)
+            judged = Judged(self.site, constellation.model, names, given, found, statistics, verdicts, images)
             whole = [i for i, e in enumerate(some.tolist()) if e not in poses]
             if len(whole) < len(some):
                 judged = judged.take(np.array(whole, dtype=np.intp))
@@ -198,8 +200,10 @@ class Locator:
         assert verdict.rest is not None
         assert verdict.statistics is not None
         kept = np.delete(np.arange(len(rows)), verdict.left_out)
-        thinned, model = measurements.of_beacons(kept), constellation.subset(kept).model
-        judged = Judged(self.site, model, self._names(rows[kept]), thinned, verdict.rest, verdict.statistics, {})
+        thinned, others = measurements.of_beacons(kept), constellation.subset(kept)
+        names, statistics = self._names(rows[kept]), verdict.statistics
+        images = image_distance_m(others, thinned, verdict.rest.best, statistics)
+        judged = Judged(self.site, others.model, names, thinned, verdict.rest, statistics, {}, images)
         (pose,) = poses_of([fields], judged)
         left_out = {self._names(rows[[row]])[0]: residual for row, residual in verdict.residuals.items()}
         return replace(

@@ -52,6 +52,8 @@ class Judged:
         Those of the best poses.
     verdicts : mapping of int to Verdict
         Those of the epochs that raised the alarm.
+    images_m : ndarray, shape (e, n)
+        How far an image of the best pose is that fits all beacons but one; 0: there is none.
     """
 
     site: Site
@@ -61,6 +63,7 @@ class Judged:
     solutions: Solutions
     statistics: FaultStatistics
     verdicts: Mapping[int, Verdict]
+    images_m: FloatArray
 
     def take(self, rows: NDArray[np.intp]) -> Judged:
         """Return some of the epochs."""
@@ -72,6 +75,7 @@ class Judged:
             self.solutions.take(rows),
             self.statistics.take(rows),
             {k: self.verdicts[i] for k, i in enumerate(rows.tolist()) if i in self.verdicts},
+            self.images_m[rows],
         )
 
 
@@ -97,6 +101,7 @@ def poses_of(epochs: Sequence[Fields], judged: Judged) -> list[Pose]:
     """Return the pose of each epoch."""
     solutions = judged.solutions
     figures = _figures(judged, judged.measurements, solutions.best, judged.statistics, solutions.covariance_widening)
+    figures = _with_images(figures, judged.images_m)
     plain = ~(solutions.outside | solutions.contested | solutions.bounded | figures.weak)
     plain &= (figures.protection_m <= judged.site.alert_limit_m) & ~figures.strange
     plain[list(judged.verdicts)] = False
@@ -145,6 +150,14 @@ def _figures(
     strange = np.zeros(len(nearest), dtype=bool) if metal is None else ~metal.learned(fit.position_m)
     protection_m = np.where(strange, np.inf, protection_m)
     return _Figures(covariance, protection_m, worst, np.sqrt(shifts[:, 2]), turn, nearest, strange)
+
+
+def _with_images(figures: _Figures, images_m: FloatArray) -> _Figures:
+    """Let the protection levels reach to the images that one beacon alone rules out."""
+    far = images_m.max(axis=1, initial=0.0)
+    there = far > 0.0
+    worst = np.where(there, images_m.argmax(axis=1), figures.worst_beacon)
+    return replace(figures, protection_m=figures.protection_m + far, worst_beacon=worst)
 
 
 @dataclass(frozen=True)

@@ -86,6 +86,6 @@ def test_a_pose_is_lost_where_all_beacons_together_are_no_stronger_than_the_nois
     solutions.bounded[:] = False
     statistics = fault_statistics(model, measurements, fit)
     names = ("b0", "b1", "b2")
-    judged = Judged(cube(2e-8), model, names, measurements, solutions, statistics, {})
+    judged = Judged(cube(2e-8), model, names, measurements, solutions, statistics, {}, np.zeros((1, 3)))
     (pose,) = poses_of([Fields(0, 0.0, names, np.zeros((3, 3)), np.ones(3))], judged)
     assert pose.status is status

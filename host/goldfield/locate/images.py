@@ -1,0 +1,56 @@
+"""Images of a pose that one beacon alone rules out: if that is at fault, the sensor may as well be there.
+
+Coils on a floor and one under the ceiling have one pose, for the last tells on which side of the floor it is. Should it
+fail, the others fit the image of the pose as well as the pose (`goldfield.locate.mirror`), and an image below the floor
+is so far from the ceiling that a dead coil there agrees with it. Solution separation is linear and sees the pose
+without a beacon beside the one with it, not the one across the plane: so the protection level has to reach there.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from goldfield.locate.constellation import RIVAL_COST, Constellation
+from goldfield.locate.fault_statistics import FaultStatistics
+from goldfield.locate.fit import Fit, Measurements
+from goldfield.types import FloatArray
+
+LEAST = 4
+"""Beacons from which on one may be left out and the others fit a pose by more than chance."""
+
+
+def image_distance_m(
+    constellation: Constellation, measurements: Measurements, fit: Fit, statistics: FaultStatistics
+) -> FloatArray:
+    """Return how far the farthest image of e poses is that fits all beacons but one, shape (e, n); 0: there is none.
+
+    Parameters
+    ----------
+    constellation : Constellation
+        n beacons.
+    measurements : Measurements
+        e epochs.
+    fit : Fit
+        Their poses.
+    statistics : FaultStatistics
+        Those of the poses: what each beacon adds to the cost.
+    """
+    distance = np.zeros((len(fit.cost), len(constellation.model)))
+    if len(constellation.model) < LEAST:
+        return distance
+    for row, mirror in constellation.mirrors_without_one:
+        epochs = np.flatnonzero(mirror.concerns(fit.position_m))
+        if not len(epochs):
+            continue
+        image = mirror.image(fit.take(epochs))
+        fits: NDArray[np.bool_] = constellation.inside(image.position_m)
+        if not mirror.exact:
+            kept = np.delete(np.arange(len(constellation.model)), row)
+            others = measurements.take(epochs).of_beacons(kept)
+            image = constellation.subset(kept).refine(others, image.position_m, image.rotation)
+            rest = fit.cost[epochs] - statistics.drop[epochs, row]
+            fits = constellation.inside(image.position_m) & (image.cost - rest < RIVAL_COST)
+        apart = np.linalg.norm(image.position_m - fit.position_m[epochs], axis=1)
+        distance[epochs, row] = np.maximum(distance[epochs, row], np.where(fits, apart, 0.0))
+    return distance
