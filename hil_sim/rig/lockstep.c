@@ -51,6 +51,7 @@ static void run_boards(void *context, unsigned task) {
 
 /* Those that may drive the sync wire run first, a quantum at a time, since they hear each other. */
 static void run_leaders(rig_t *rig) {
+    rig->leaders_run = true;
     while (rig->now_ps < rig->end_ps) {
         for (unsigned i = 0; i < rig->leaders; ++i) {
             run_board(rig, rig->leading[i], rig->now_ps + RIG_QUANTUM_PS);
@@ -58,6 +59,7 @@ static void run_leaders(rig_t *rig) {
         rig->now_ps += RIG_QUANTUM_PS;
         wires_serve_sync(rig);
     }
+    rig->leaders_run = false;
     rig->now_ps = rig->begin_ps;
 }
 
@@ -79,7 +81,7 @@ static bool others_run(rig_t *rig) {
 static void run_step(rig_t *rig) {
     rig->begin_ps = rig->now_ps;
     rig->end_ps = rig->now_ps + look_ahead_quanta(rig) * (int64_t)RIG_QUANTUM_PS;
-    rig->staged = rig->loose_count > 0 || rig->end_ps > rig->now_ps + RIG_QUANTUM_PS;
+    rig->staged = rig->loose_count > 0 || rig->end_ps > rig->now_ps + RIG_QUANTUM_PS || look_ahead_open(rig);
     wires_serve_serial(rig);
     if (!rig->staged) {
         thread_pool_step(&rig->pool);

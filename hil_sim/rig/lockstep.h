@@ -18,7 +18,9 @@
  * depends neither on threads nor on slices, and it is causal and exact:
  *   - an edge of the master's sync wire reaches a board that has not yet lived through that moment. So does one of a
  *     deputy that takes over: with its first SYNC, which comes before its first edge, it goes ahead, and the master
- *     before, dead or not, falls back. Two boards that drive the wire at once hear each other up to a quantum late;
+ *     before, dead or not, falls back. Of a board that begins a time of its own the first edge comes before its SYNC:
+ *     it goes ahead with that edge, which others that may lead hear up to a quantum late, and so do two boards that
+ *     drive the wire at once;
  *   - the sensor samples currents that already happened, its converter's few microseconds of look-ahead (board_edge.h)
  *     included;
  *   - a beacon with a sensor of its own (an anchor) samples its own currents as they are, and those of the others as

@@ -24,7 +24,8 @@ struct rig {
     int64_t until_ps;  /* End of the run under way. */
     int64_t begin_ps;  /* Beginning and end of the step. */
     int64_t end_ps;
-    bool staged; /* The step has stages: leaders, then the other beacons, then the sensor. */
+    bool staged;      /* The step has stages: leaders, then the other beacons, then the sensor. */
+    bool leaders_run; /* It is in the first: the others are where the step began. */
     /* Beacons off the bus, that nobody hears of but by their coils, and that hear of nothing but the sync wire. They
      * have run up to loose_ps, beyond the step as a rule. */
     bool *loose;
@@ -48,6 +49,10 @@ struct rig {
 /* Returns how many quanta the next step may have: in none but the first can anything that boards do now reach another,
  * other than by the sync wire. */
 unsigned look_ahead_quanta(const rig_t *rig);
+
+/* Returns whether it is open who drives the sync wire next: of those that may, any can begin to. They then go first, so
+ * that no other board hears an edge late. */
+bool look_ahead_open(const rig_t *rig);
 
 /* Returns how far loose boards can run, once the leaders have got through the step. */
 int64_t look_ahead_loose(const rig_t *rig);

@@ -3,6 +3,7 @@
 
 #define LOOSE_QUANTA_MAX 152u /* A block of 31 chips. */
 #define QUANTA_MAX       40u  /* Eight chips, in which a coil changes less often than its history is long (coil.h). */
+#define MOST_PS          ((QUANTA_MAX + 2) * (int64_t)RIG_QUANTUM_PS) /* How far a step looks. */
 
 /* Returns a time before which no board asks anything of the bus, nor changes the sync wire. */
 static int64_t earliest_request(const rig_t *rig) {
@@ -19,10 +20,13 @@ static int64_t earliest_request(const rig_t *rig) {
     return earliest_ps;
 }
 
+bool look_ahead_open(const rig_t *rig) {
+    return rig->leaders > 1 && wires_is_silent(rig, rig->now_ps + MOST_PS);
+}
+
 unsigned look_ahead_quanta(const rig_t *rig) {
-    const int64_t most_ps = (QUANTA_MAX + 2) * (int64_t)RIG_QUANTUM_PS;
     /* A beacon with a sensor looks at the others' coils as they are; a deputy that takes over changes the order. */
-    if (rig->others_sense || (rig->leaders > 1 && wires_is_silent(rig, rig->now_ps + most_ps))) {
+    if (rig->others_sense || look_ahead_open(rig)) {
         return 1;
     }
     const int64_t now_ps = rig->now_ps, asks_ps = earliest_request(rig);
@@ -33,7 +37,7 @@ unsigned look_ahead_quanta(const rig_t *rig) {
     if (heard_ps < now_ps) {
         return 1;
     }
-    int64_t end_ps = heard_ps < now_ps + most_ps ? heard_ps : now_ps + most_ps;
+    int64_t end_ps = heard_ps < now_ps + MOST_PS ? heard_ps : now_ps + MOST_PS;
     end_ps -= 2 * (int64_t)RIG_QUANTUM_PS; /* The leader is ahead by so much. */
     end_ps = end_ps < rig->until_ps ? end_ps : rig->until_ps;
     return end_ps >= now_ps + 2 * (int64_t)RIG_QUANTUM_PS ? (unsigned)((end_ps - now_ps) / RIG_QUANTUM_PS) : 1u;

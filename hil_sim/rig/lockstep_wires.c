@@ -11,13 +11,29 @@
 
 /* Something comes to a board: it is due then. Returns when, not before the board's present at the end of a step. */
 static int64_t arrives(rig_t *rig, unsigned board, int64_t time_ps) {
-    const int64_t reached_ps = rig->loose[board] ? rig->loose_ps : rig->now_ps;
+    const bool waits = rig->leaders_run && !rig->slot[board].leads;
+    const int64_t reached_ps = rig->loose[board] ? rig->loose_ps : waits ? rig->begin_ps : rig->now_ps;
     const int64_t present_ps = reached_ps + rig->slot[board].lead_ps;
     const int64_t arrival_ps = time_ps > present_ps ? time_ps : present_ps;
     board_ahead_t *const ahead = &rig->ahead[board];
     ahead->due_ps = arrival_ps < ahead->due_ps ? arrival_ps : ahead->due_ps;
     ahead->asks_ps = arrival_ps < ahead->asks_ps ? arrival_ps : ahead->asks_ps;
     return arrival_ps;
+}
+
+bool wires_is_silent(const rig_t *rig, int64_t time_ps) {
+    const int64_t last_ps = rig->edge_count > 0 ? rig->edges_ps[rig->edge_count - 1] : INT64_MIN / 2;
+    return time_ps - last_ps > WIRES_SILENT_PS;
+}
+
+/* Lets a beacon that sends SYNC or drives the wire run ahead in place of one that drives it no more. The one before
+ * stands still for a quantum, as it is ahead by that. */
+static void begin_to_lead(rig_t *rig, unsigned board, int64_t time_ps) {
+    if (rig->slot[board].leads && board != rig->leader && wires_is_silent(rig, time_ps)) {
+        rig->slot[rig->leader].lead_ps = RIG_QUANTUM_PS;
+        rig->slot[board].lead_ps = 2 * (int64_t)RIG_QUANTUM_PS;
+        rig->leader = board;
+    }
 }
 
 /* Any board may drive the wire high: it is the sum of the boards' outputs, as diodes make it. */
@@ -33,6 +49,7 @@ void wires_serve_sync(rig_t *rig) {
                 continue;
             }
             if (change.level) {
+                begin_to_lead(rig, source, change.time_ps);
                 rig->edges_ps = array_reserve(rig->edges_ps, &rig->edge_capacity, rig->edge_count + 1,
                                               sizeof *rig->edges_ps);
                 rig->edges_ps[rig->edge_count++] = change.time_ps;
@@ -62,19 +79,9 @@ void rig_glitch(rig_t *rig, int64_t after_ps, int64_t width_ps) {
 
 /* ---- CAN ---- */
 
-bool wires_is_silent(const rig_t *rig, int64_t time_ps) {
-    const int64_t last_ps = rig->edge_count > 0 ? rig->edges_ps[rig->edge_count - 1] : INT64_MIN / 2;
-    return time_ps - last_ps > WIRES_SILENT_PS;
-}
-
-/* Lets a beacon that sends SYNC run ahead in place of one that has driven the wire no more: it begins to lead. The one
- * before stands still for a quantum, as it is ahead by that. */
 static void follow_leader(rig_t *rig, unsigned board, const board_frame_t *frame, int64_t time_ps) {
-    const bool sync = frame->extended && frame->id >> SYNC_TYPE_SHIFT == SYNC_TYPE;
-    if (sync && rig->slot[board].leads && board != rig->leader && wires_is_silent(rig, time_ps)) {
-        rig->slot[rig->leader].lead_ps = RIG_QUANTUM_PS;
-        rig->slot[board].lead_ps = 2 * (int64_t)RIG_QUANTUM_PS;
-        rig->leader = board;
+    if (frame->extended && frame->id >> SYNC_TYPE_SHIFT == SYNC_TYPE) {
+        begin_to_lead(rig, board, time_ps);
     }
 }
 

@@ -27,7 +27,7 @@ UNMENDED = ("moved", "sheet of", "two sync masters", "a second sensor", "the hos
 """Beginnings of kinds that leave something behind, or take a bench or a host of their own."""
 ALL_ANEW = ("all die", "all are reset")
 """Kinds behind which cycles are numbered from 0 again."""
-UNCOVERED = ("axes rotated", "two axes swapped", "impulses 30/s of 20 uT", "iron ball of 0.24 m is carried past")
+UNCOVERED = ("axes rotated", "two axes swapped", "impulses", "mains 4 uT", "iron ball of 0.24 m is carried past")
 """Kinds against which no protection level holds (tests/campaign/README.md): their poses are told, not counted."""
 POWER = ("die", "dead", "is reset", "comes back", "has no power", "a time of its own", "half the amplitude")
 """Parts of the names of kinds that take the power of boards."""
