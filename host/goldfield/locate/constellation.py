@@ -80,6 +80,10 @@ beacons, 2.1 standard deviations each; of poses at the limit of `weak` by distan
 MORE_ITERATIONS = 1000
 """Evaluations for a fit that has not converged as quickly as nearly all do: along a curved ridge near a coil."""
 
+FLAT_REST = 0.05
+"""The same as `goldfield.locate.mirror.FLAT` for what is left without a beacon: of what is less flat an image fits only
+where hardly any beacon is heard, and to try the images of many costs more than to locate."""
+
 REMEMBERED = 32
 """Subsets of beacons whose searches are kept ready: a few megabytes each once their shells were needed."""
 
@@ -109,10 +113,10 @@ class Constellation:
 
     @cached_property
     def mirrors_without_one(self) -> tuple[tuple[int, Mirror], ...]:
-        """The same of the others where one beacon, given by its row, is not looked at."""
+        """The same of the others, more strictly, where one beacon, given by its row, is not looked at."""
         everyone = range(len(self.model))
         others = [self.model.subset(np.delete(everyone, row)) for row in everyone]
-        return tuple((row, mirror) for row, model in enumerate(others) for mirror in find_mirrors(model))
+        return tuple((row, mirror) for row, model in enumerate(others) for mirror in find_mirrors(model, FLAT_REST))
 
     @cached_property
     def _spread(self) -> Spread:

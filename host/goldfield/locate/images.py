@@ -48,9 +48,16 @@ def image_distance_m(
         if not mirror.exact:
             kept = np.delete(np.arange(len(constellation.model)), row)
             others = measurements.take(epochs).of_beacons(kept)
-            image = constellation.subset(kept).refine(others, image.position_m, image.rotation)
+            across_m = image.position_m
+            image = constellation.subset(kept).refine(others, across_m, image.rotation)
             rest = fit.cost[epochs] - statistics.drop[epochs, row]
             fits = constellation.inside(image.position_m) & (image.cost - rest < RIVAL_COST)
+            fits &= _nearer(image.position_m, across_m, fit.position_m[epochs])
         apart = np.linalg.norm(image.position_m - fit.position_m[epochs], axis=1)
         distance[epochs, row] = np.maximum(distance[epochs, row], np.where(fits, apart, 0.0))
     return distance
+
+
+def _nearer(position_m: FloatArray, here_m: FloatArray, there_m: FloatArray) -> NDArray[np.bool_]:
+    """Return which positions are nearer to the first than to the second: the fit has not come back to the pose."""
+    return np.asarray(np.linalg.norm(position_m - here_m, axis=1) < np.linalg.norm(position_m - there_m, axis=1))

@@ -71,25 +71,25 @@ class Mirror:
         return np.asarray(both @ matrix @ both.T)
 
 
-def find_mirrors(model: FieldModel) -> tuple[Mirror, ...]:
+def find_mirrors(model: FieldModel, flat: float = FLAT) -> tuple[Mirror, ...]:
     """Return the maps of coils nearly in a plane and pointing across it, of coils around a point, and of both."""
     middle = model.centre_m.mean(axis=0)
     offset = model.centre_m - middle
-    plane, centre = _plane(model, middle, offset), _centre(model, middle, offset)
+    plane, centre = _plane(model, middle, offset, flat), _centre(model, middle, offset, flat)
     if plane is None or centre.exact:  # coils that are exactly both have a ring of poses, not images
         return (centre,)
     both = Mirror(middle, -plane.reflection, plane.turn, exact=False, least_m=centre.least_m)
     return plane, centre, both
 
 
-def _centre(model: FieldModel, middle: FloatArray, offset: FloatArray) -> Mirror:
+def _centre(model: FieldModel, middle: FloatArray, offset: FloatArray, flat: float) -> Mirror:
     """Return the map to the other side of the middle of all coils."""
     extent = float(np.linalg.norm(offset, axis=1).max())
     exact = extent <= EXACT * model.reach_m.min() and not len(model.wire_points_m)
-    return Mirror(middle, -np.eye(3), np.eye(3), exact, 0.0 if exact else extent / FLAT)
+    return Mirror(middle, -np.eye(3), np.eye(3), exact, 0.0 if exact else extent / flat)
 
 
-def _plane(model: FieldModel, middle: FloatArray, offset: FloatArray) -> Mirror | None:
+def _plane(model: FieldModel, middle: FloatArray, offset: FloatArray, flat: float) -> Mirror | None:
     """Return the map through the plane in which all coils nearly lie and across which they point, if there is one.
 
     Its normal is where the spread of the places, over their extent, less that of the axes is least: of coils on a line,
@@ -101,7 +101,7 @@ def _plane(model: FieldModel, middle: FloatArray, offset: FloatArray) -> Mirror 
     normal = np.linalg.eigh(scaled.T @ scaled - axis.T @ axis / len(axis))[1][:, 0]
     thickness = float(np.abs(scaled @ normal).max())
     tilt = float(np.sqrt(np.maximum(1.0 - (axis @ normal) ** 2, 0.0)).max())
-    if thickness > FLAT or tilt > FLAT:
+    if thickness > flat or tilt > flat:
         return None
     wires = float(np.abs((model.wire_points_m - middle) @ normal).max(initial=0.0) / extent)
     across = np.outer(normal, normal)
