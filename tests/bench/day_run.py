@@ -2,6 +2,7 @@
 
     make day-run                                            24 h of virtual time
     make day-run DAY="--hours 0.5 --seed 3"                 half an hour
+    make day-run DAY="--hours 1 --seed 2 --gap 31 33"       every kind of fault once in an hour
 
 Five beacons of ``prigge8``, of which the first is the sync master and the second its deputy, and a sensor that roams.
 Their crystals differ, and drift with a temperature that goes up and down over the day and within hours; the constant
@@ -45,7 +46,7 @@ from tests.hil.rig_link import RigLink
 BEACONS = (0, 3, 5, 6, 7)
 """Those of ``prigge8`` that there are: no four of them lie in a plane, so that one may be gone."""
 RANKS = (1, 2, 0, 0, 0)
-"""Of the master, its deputy, and those that never lead."""
+"""Their ranks: a master, its deputy, and those that never lead."""
 STRANGER = 77
 """Node of the master that was there before, from which the boards take the number of the cycle."""
 LEAD_S, PULSE_S = 3.0, 1e-4
@@ -333,11 +334,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--hours", type=float, default=24.0)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument(
+        "--gap", type=float, nargs=2, default=GAP_S, metavar=("LEAST", "MOST"), help="seconds from fault to fault"
+    )
     parser.add_argument("--out", type=Path, help="where the table is written each hour (default: build/day/SEED.txt)")
     arguments = parser.parse_args()
     path = arguments.out or Path(f"build/day/{arguments.seed}.txt")
     path.parent.mkdir(parents=True, exist_ok=True)
-    day = Day(arguments.hours, arguments.seed)
+    day = Day(arguments.hours, arguments.seed, tuple(arguments.gap))
     with path.open("w", encoding="utf-8") as out:
         wrong = day.run(out)
     print(day.table())
