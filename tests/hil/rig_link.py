@@ -8,6 +8,7 @@ from collections import deque
 import can
 
 from goldfield.link.buses import BusSource
+from goldfield.link.line import FASTEST, Line, Link
 from goldfield_protocol import FrameDecoder, encode_frame
 from goldfield_protocol.parameters import build_page, parse_page
 from hil_sim.rig import Frame
@@ -28,7 +29,7 @@ class RigLink(BusSource):
     """
 
     traffic = {}  # noqa: RUF012 - nothing is counted
-    link_bit = 2
+    line = FASTEST[Link.CAN]
 
     def __init__(self, rig, others=()):
         self.name = "rig"
@@ -59,6 +60,11 @@ class RigLink(BusSource):
     def send(self, identifier, data):
         self.rig.can_write(identifier, data)
 
+    def set_bit_rate(self, bit_rate):
+        self.line = Line(self.line.link, bit_rate)
+        self.rig.can_rate(bit_rate)
+        self.read()
+
     def close(self):
         pass
 
@@ -72,7 +78,7 @@ class RigLink(BusSource):
 class RigSerialLink(RigLink):
     """The serial line of a board, the sensor's if not told, in place of the bus."""
 
-    link_bit = 1
+    line = FASTEST[Link.SERIAL]
 
     def __init__(self, rig, board=0):
         self._decoder = FrameDecoder()

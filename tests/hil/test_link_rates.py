@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from goldfield.access.epoch import EpochSeparator
-from goldfield.link.budget import RATES, SHARE, Carrier, Link, load
+from goldfield.link.budget import SHARE, Carrier, load
+from goldfield.link.line import RATES, Line, Link
 from goldfield.locate import locate
 from goldfield.types import Status
 from goldfield_protocol import FrameDecoder, encode, encode_frame
@@ -58,7 +59,7 @@ def test_can(scenario, rate):
     cycles = SECONDS / (N * CHIP_S)
     assert len(frames) == pytest.approx(cycles * (3 + CODES), abs=3 + CODES)
     taken = sum(can_bits(frame.identifier, frame.data) for frame in frames) / rate / SECONDS
-    budget = load(Link.CAN, Carrier.CYCLES, CODES, N, CHIP_S, rate)
+    budget = load(Line(Link.CAN, rate), Carrier.CYCLES, CODES, N, CHIP_S)
     assert budget < SHARE[Link.CAN]
     assert 0.75 * budget < taken <= budget * (1.0 + 1.0 / cycles)
     assert busy["errors"] == 0
@@ -164,5 +165,5 @@ def test_serial(scenario):
         lengths += (len(chunk) + 1) * of_cycles(frame)
     cycles = SECONDS / (N * CHIP_S)
     for rate in RATES[Link.SERIAL]:
-        budget = load(Link.SERIAL, Carrier.CYCLES, CODES, N, CHIP_S, rate)
+        budget = load(Line(Link.SERIAL, rate), Carrier.CYCLES, CODES, N, CHIP_S)
         assert 10 * lengths / rate / SECONDS == pytest.approx(budget, rel=1.5 / cycles)

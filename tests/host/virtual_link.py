@@ -10,6 +10,7 @@ import can
 
 from goldfield.errors import SystemFailure
 from goldfield.link.buses import BusSource
+from goldfield.link.line import FASTEST, Link
 from goldfield.sensor import dialogue, finding, samples, session
 from goldfield_protocol import Identifier, decode, encode
 
@@ -37,6 +38,7 @@ class VirtualLink(BusSource):
     """
 
     traffic = {}  # noqa: RUF012 - nothing is counted
+    line = FASTEST[Link.SERIAL]
 
     def __init__(self, parameters=None, deaf=0):
         self.now_s = 1000.0

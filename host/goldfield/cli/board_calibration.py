@@ -35,7 +35,7 @@ def _elements() -> list[tuple[Parameter, int]]:
     return zeros + [(PARAMETERS["calibration"], element) for element in range(9)]
 
 
-def read(kind: str, where: str, node: int | None) -> BoardCalibration:
+def read(kind: str, where: str, node: int | None, bit_rate: int | None = None) -> BoardCalibration:
     """Read from a link, of the kinds of `goldfield.nodes.opening`, what its only sensor, or a node, has.
 
     Raises
@@ -45,7 +45,7 @@ def read(kind: str, where: str, node: int | None) -> BoardCalibration:
     SystemFailure
         If the board does not answer.
     """
-    with closing(Tap(opening.open_link(kind, where))) as tap:
+    with closing(Tap(opening.open_link(kind, where, bit_rate))) as tap:
         conversation = Conversation(tap)
         conversation.listen()
         found = [one.number for one in conversation.roster.nodes.values() if one.role in SENSING]
@@ -74,6 +74,7 @@ def write(
     zero: FloatArray,
     matrix: FloatArray,
     key: AccessKey | None = None,
+    bit_rate: int | None = None,
 ) -> None:
     """Set a board's zero and matrix: all twelve numbers, or none.
 
@@ -85,7 +86,7 @@ def write(
     SystemFailure
         If the board refuses or does not answer; if it is locked, and ``key`` is none, or not its own.
     """
-    with closing(Tap(opening.open_link(kind, where), key)) as tap:
+    with closing(Tap(opening.open_link(kind, where, bit_rate), key)) as tap:
         conversation = Conversation(tap)
         done: list[Parameter] = []
         try:

@@ -98,7 +98,7 @@ def _carried_out(
     record = sensor_record(found)
     before = None
     if kind in BOARDS and (arguments.write or arguments.sensors):
-        before = board_calibration.read(kind, where, node)
+        before = board_calibration.read(kind, where, node, arguments.bit_rate)
         unique_id = before.unique_id
     if before is not None:
         record["unique_id"] = unique_id
@@ -109,7 +109,8 @@ def _carried_out(
         offset_T = np.full(3, np.nan) if found.offset_T is None else found.offset_T
         keep(Path(arguments.sensors), KeptSensor(unique_id, found.axes, offset_T, *_deviations(found), *values))
     if arguments.write and before is not None:  # only once the values are kept: a reset of the board loses them
-        board_calibration.write(kind, where, before, zero, matrix, link_options.key(arguments))
+        key = link_options.key(arguments)
+        board_calibration.write(kind, where, before, zero, matrix, key, arguments.bit_rate)
         tell(f"board {before.unique_id}, node {before.node}, has the new calibration")
     if arguments.out:
         # What is written to the board needs no undoing by the host.
@@ -138,7 +139,8 @@ def _record(
 ) -> tuple[int | None, Turn]:
     live = kind in BOARDS
     seconds = arguments.seconds if arguments.seconds is not None else LIVE_S if live else None
-    choices = Options(node=arguments.node, seconds=seconds, key=link_options.key(arguments))
+    key, bit_rate = link_options.key(arguments), arguments.bit_rate
+    choices = Options(node=arguments.node, seconds=seconds, key=key, bit_rate=bit_rate)
     with open_sensor(kind, where, site, choices, None if page is None else page.recorder) as opened:
         reports = opened.reports() if page is None else page.reports(opened)
         turn = turn_of_reports(site, _with_progress(reports, seconds if live else None))
@@ -263,13 +265,14 @@ def restore(arguments: argparse.Namespace) -> int:
     """Give a board what was kept of it."""
     kind, where = link_options.chosen(arguments)
     kept = load_kept(Path(arguments.sensors))
-    board = board_calibration.read(kind, where, arguments.node)
+    board = board_calibration.read(kind, where, arguments.node, arguments.bit_rate)
     found = kept.get(board.unique_id)
     if found is None or found.zero is None or found.calibration is None:
         raise UserError(
             f"{arguments.sensors}: has no values for the board {board.unique_id} (node {board.node}): calibrate it"
         )
-    board_calibration.write(kind, where, board, found.zero, found.calibration, link_options.key(arguments))
+    key = link_options.key(arguments)
+    board_calibration.write(kind, where, board, found.zero, found.calibration, key, arguments.bit_rate)
     print(f"written to board {board.unique_id}, node {board.node}: {board_calibration.HOLDS}")
     return 0
 

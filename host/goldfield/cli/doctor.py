@@ -37,7 +37,7 @@ def run(arguments: argparse.Namespace) -> int:
     from goldfield.doctor.examination import Examination
 
     faults = 0
-    examination = Examination(kind, where, site, arguments.node, link_options.key(arguments))
+    examination = Examination(kind, where, site, arguments.node, link_options.key(arguments), arguments.bit_rate)
     for check in examination.checks():
         faults += check.fault is not None
         if arguments.json:

@@ -65,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
     kind, where = link_options.chosen(arguments)
     key = link_options.key(arguments)
     images = read(arguments.file)  # before anything is opened
-    with closing(Tap(open_link(kind, where), key)) as tap:
+    with closing(Tap(open_link(kind, where, arguments.bit_rate), key)) as tap:
         try:
             flash(Conversation(tap), arguments, images, shared=kind == "can")
         except KeyboardInterrupt:

@@ -23,6 +23,7 @@ LINKS = {
 def add(parser: argparse.ArgumentParser, *, log: bool = False, nested: bool = False) -> None:
     """Add the options; ``nested``: to the parser of an action, where they do not undo what stands before it."""
     add_key(parser, nested=nested)
+    add_bit_rate(parser, nested=nested)
     for name, (metavar, what) in LINKS.items():
         if name != "log" or log:
             variable = options.environment_name(name)
@@ -32,6 +33,19 @@ def add(parser: argparse.ArgumentParser, *, log: bool = False, nested: bool = Fa
                 default=argparse.SUPPRESS if nested else None,
                 help=f"{what} (environment: {variable}, unless another is given)",
             )
+
+
+def add_bit_rate(parser: argparse.ArgumentParser, *, nested: bool = False) -> None:
+    """Add ``--bit-rate``; ``nested`` as for `add`."""
+    variable = options.environment_name("--bit-rate")
+    parser.add_argument(
+        "--bit-rate",
+        metavar="N",
+        type=options.bit_rate,
+        default=argparse.SUPPRESS if nested else os.environ.get(variable) or None,
+        help="bits a second of the link (default: a serial port's is found, CAN's is the interface's own, else "
+        f"1000000; environment: {variable})",
+    )
 
 
 def add_key(parser: argparse.ArgumentParser, *, nested: bool = False) -> None:
@@ -73,6 +87,8 @@ def chosen(arguments: argparse.Namespace) -> tuple[str, str]:
     ((kind, where),) = given.items()
     if not where:
         raise UserError(f"--{kind} is empty: give a value")
+    if kind == "log":
+        options.tell_idle(arguments, ("--bit-rate",), "--log")
     return kind, where
 
 
@@ -117,4 +133,5 @@ def reading(arguments: argparse.Namespace, method: Method = Method.EACH) -> Opti
         awaits=getattr(arguments, "reconnect", False),
         strongest=getattr(arguments, "strongest", None),
         key=key(arguments),
+        bit_rate=arguments.bit_rate,
     )

@@ -101,7 +101,7 @@ def run(arguments: argparse.Namespace) -> int:
     key = link_options.key(arguments)
     action = node_actions.ACTIONS[arguments.action]
     asked = node_actions.checked(arguments)  # before anything is opened
-    with closing(Tap(open_link(kind, where), key)) as tap:
+    with closing(Tap(open_link(kind, where, arguments.bit_rate), key)) as tap:
         action(Conversation(tap), arguments, asked)
     if arguments.action is None and kind == "port" and not arguments.json:
         tell(ONLY_ITS_OWN)

@@ -179,6 +179,17 @@ def _between(text: str, least: float, most: float, what: str) -> float:
     return value
 
 
+def bit_rate(text: str) -> int:
+    """Parse a bit rate as a whole number, for argparse; which there are, the link says."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value.is_integer()):
+        raise argparse.ArgumentTypeError(f"{text} is no whole number of bits a second")
+    return int(value)
+
+
 def count(text: str) -> int:
     """Parse a number of at least 1, for argparse."""
     if not (text.isascii() and text.isdigit() and len(text) <= 6 and 1 <= int(text) <= 100_000):

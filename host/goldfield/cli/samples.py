@@ -27,6 +27,7 @@ def command(subparsers: Any) -> None:
     )
     options.add(parser, "--port", metavar="PATH", what="serial port of the sensor")
     link_options.add_key(parser)
+    link_options.add_bit_rate(parser)
     options.add_site(parser)
     options.add(parser, "--cycles", metavar="N", kind=options.count, what="how many cycles, default 1")
     parser.add_argument(

@@ -89,7 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
     wanted_of(site, [], arguments.strongest)  # What no board can drive is told before anything is opened.
     kind, where = link_options.chosen(arguments)
     key = link_options.key(arguments)
-    with closing(Tap(open_link(kind, where), key)) as tap:
+    with closing(Tap(open_link(kind, where, arguments.bit_rate), key)) as tap:
         act(Conversation(tap), arguments, site)
     return 0
 

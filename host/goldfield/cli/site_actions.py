@@ -7,7 +7,8 @@ import argparse
 from goldfield.cli import link_options
 from goldfield.cli.output import json_line
 from goldfield.errors import SystemFailure, counted, tell
-from goldfield.link.budget import NAMES, SHARE, Link, most_reported
+from goldfield.link.budget import SHARE, most_reported
+from goldfield.link.line import Line, Link
 from goldfield.nodes.commissioning import Board, boards_of, refuse_driven, save_all, switch
 from goldfield.nodes.conversation import START, Conversation
 from goldfield.nodes.site_boards import Wanted, chosen_codes, differences, push, wanted_of
@@ -19,7 +20,7 @@ def act(conversation: Conversation, arguments: argparse.Namespace, site: Site) -
     """Set the boards to a site, or compare them with it; a serial port has one board, and the others have their own."""
     conversation.listen()
     boards = boards_of(conversation)
-    wanted, missing = wanted_of(site, boards, _fitting(arguments, site, boards))
+    wanted, missing = wanted_of(site, boards, _fitting(conversation.line, arguments.strongest, site, boards))
     if link_options.chosen(arguments)[0] == "port" and wanted and missing:
         tell(f"{counted(len(missing), 'beacons have')} no board on this port: go on with the ports of the others")
         missing = []
@@ -34,22 +35,26 @@ def act(conversation: Conversation, arguments: argparse.Namespace, site: Site) -
     _push(conversation, arguments, wanted, boards)
 
 
-def _fitting(arguments: argparse.Namespace, site: Site, boards: list[Board]) -> int | None:
+def _fitting(line: Line, strongest: int | None, site: Site, boards: list[Board]) -> int | None:
     """Return how many codes sensors are to choose: fewer than are wanted, and it is said, if no more fit the link."""
-    wanted = chosen_codes(site, arguments.strongest)
+    wanted = chosen_codes(site, strongest)
     if wanted is None:
         return None
     sensors = sum(board.role in ("sensor", "anchor") for board in boards) or 1
-    link = Link.CAN if link_options.chosen(arguments)[0] == "can" else Link.SERIAL
-    if link is Link.SERIAL:
+    if line.link is Link.SERIAL:
         sensors = 1
-    most = most_reported(link, wanted, site.chips, site.chip_period_s, sensors)
+    most = most_reported(line, wanted, site.chips, site.chip_period_s, sensors)
+    if not most:
+        raise SystemFailure(
+            f"{counted(sensors, 'sensors')} do not fit into {SHARE[line.link]:.0%} of {line}, each with one code: set "
+            "a higher rate with goldfield nodes bit-rate, or power fewer; nothing was set".replace("%", " %")
+        )
     if most < wanted:
         tell(
             f"sensors report {most} of the strongest codes, not {wanted}: with {counted(sensors, 'sensors')} more does "
-            f"not fit into {SHARE[link]:.0%} of {NAMES[link]}".replace("%", " %")
+            f"not fit into {SHARE[line.link]:.0%} of {line}".replace("%", " %")
         )
-    return max(most, 1)
+    return most
 
 
 def _push(conversation: Conversation, arguments: argparse.Namespace, wanted: list[Wanted], boards: list[Board]) -> None:

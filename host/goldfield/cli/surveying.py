@@ -185,7 +185,12 @@ def _epochs(
     kind, where = link_options.chosen(arguments)
     if kind == "log":
         options.tell_idle(arguments, ("--enough",), "--log")
-    choices = Options(node=arguments.node, seconds=arguments.seconds, key=link_options.key(arguments))
+    choices = Options(
+        node=arguments.node,
+        seconds=arguments.seconds,
+        key=link_options.key(arguments),
+        bit_rate=arguments.bit_rate,
+    )
     with open_sensor(kind, where, site, choices, None if page is None else page.recorder) as sensor:
         fields = sensor.fields() if page is None else page.fields(sensor)
         if not sensor.live:

@@ -11,7 +11,7 @@ from goldfield.doctor.checks import Check, Fault, sound, unjudged, wrong
 from goldfield.errors import SystemFailure, UserError, counted
 from goldfield.link.access_key import AccessKey
 from goldfield.link.ports import kernel_can_errors
-from goldfield.link.traffic import DAMAGED, damaged
+from goldfield.link.traffic import DAMAGED, ERROR, damaged
 from goldfield.nodes.conversation import Conversation, Tap
 from goldfield.nodes.roster import Node, Roster
 from goldfield.sensor.health import MANY_EDGES, SYNC_REJECTED
@@ -42,14 +42,23 @@ class Examination:
         Node of the sensor; None: the first one in the order of numbers.
     key : AccessKey, optional
         What unlocks a sensor that is locked and does not report the site's codes yet.
+    bit_rate : int, optional
+        Bits a second of the link, as for `goldfield.nodes.opening.open_link`.
     """
 
     def __init__(
-        self, kind: str, where: str, site: Site, node: int | None = None, key: AccessKey | None = None
+        self,
+        kind: str,
+        where: str,
+        site: Site,
+        node: int | None = None,
+        key: AccessKey | None = None,
+        bit_rate: int | None = None,
     ) -> None:
         self._kind, self._where, self._key = kind, where, key
         self._site = site
         self._node = node
+        self._bit_rate = bit_rate
         self._found: list[Check] = []
 
     def checks(self) -> Iterator[Check]:
@@ -64,14 +73,16 @@ class Examination:
         if problem is not None:
             yield problem
             return
-        link = machine.opened(self._kind, self._where)
+        link = machine.opened(self._kind, self._where, self._bit_rate)
         if isinstance(link, Check):
             yield link
             return
+        errors = self._bus_errors()
         with closing(Tap(link, self._key)) as tap:
-            silent = yield from self._of_link(tap)
+            silent, line = (yield from self._of_link(tap)), tap.line
         if silent:
-            yield machine.silence(self._kind, self._where, damaged(tap.others))
+            bad = damaged(tap.others) + tap.others[ERROR] + self._bus_errors() - errors
+            yield machine.silence(self._kind, self._where, line, bad)
 
     def _of_link(self, tap: Tap) -> Generator[Check, None, bool]:
         """Yield what is found on an open link; return whether no node was heard."""
@@ -81,7 +92,8 @@ class Examination:
         if not boards.in_order(roster):
             return True
         conversation.discover()
-        yield sound("link", f"node {', '.join(str(node.number) for node in boards.in_order(roster))} at {self._where}")
+        numbers = ", ".join(str(node.number) for node in boards.in_order(roster))
+        yield sound("link", f"node {numbers} at {self._where}, {tap.line}")
         yield from boards.firmware(roster)
         conversation.read(
             [(n.number, p) for n in boards.in_order(roster) if n.same_protocol for p in boards.ASKED], tries=2

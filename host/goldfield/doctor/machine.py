@@ -14,8 +14,8 @@ import serial
 from goldfield.doctor.checks import Check, Fault, sound, wrong
 from goldfield.errors import UserError, counted
 from goldfield.link.buses import BusSource
+from goldfield.link.line import RATES, Line, Link
 from goldfield.link.ports import kernel_can_interfaces, permission_problem
-from goldfield.link.serial_bus import BAUD_RATE
 from goldfield.nodes.opening import open_link
 from goldfield_protocol.framing import FrameDecoder
 from goldfield_protocol.messages import protocol_hash
@@ -23,8 +23,8 @@ from goldfield_protocol.messages import protocol_hash
 PARTS = ("goldfield.locate.kernel", "goldfield.sensor.opening")
 """Modules that load what the build makes."""
 
-OTHER_RATES = (115_200, 921_600, 1_000_000, 460_800, 230_400, 57_600, 38_400, 19_200, 9_600)
-"""Baud rates at which a line whose frames are all bad is listened to, the likely ones first."""
+OTHER_RATES = (*RATES[Link.SERIAL], 1_000_000, 230_400, 57_600, 38_400, 19_200, 9_600)
+"""Baud rates at which a line whose frames are all bad is listened to, those of boards first."""
 RATE_S = 0.6
 """How long each of them is tried, s."""
 BYTES_S = 1.2
@@ -77,10 +77,10 @@ def _parted(problem: str) -> tuple[str, str]:
     return text, advice
 
 
-def opened(kind: str, where: str) -> BusSource | Check:
+def opened(kind: str, where: str, bit_rate: int | None = None) -> BusSource | Check:
     """Open the link, or return why that fails."""
     try:
-        return open_link(kind, where)
+        return open_link(kind, where, bit_rate)
     except UserError as error:
         text, _, advice = str(error).rpartition(": ")
         return wrong(
@@ -92,7 +92,7 @@ def opened(kind: str, where: str) -> BusSource | Check:
 
 
 def rate_of(path: str) -> int | None:
-    """Return the baud rate at which frames are right on a line that is bad at the usual rate; None if at no other.
+    """Return the baud rate at which frames are right on a line that was bad at another one; None if at none.
 
     Each of `OTHER_RATES` is listened to for `RATE_S`.
     """
@@ -109,44 +109,65 @@ def rate_of(path: str) -> int | None:
     return None
 
 
-def silence(kind: str, where: str, bad_frames: int) -> Check:
+def silence(kind: str, where: str, line: Line, bad_frames: int) -> Check:
     """Return why no node is heard on a link, which is closed by now: nothing arrives, or nothing that is right."""
     if kind == "port":
         return (
-            _not_right(where) if bad_frames or _carries_bytes(where) else _nothing(where, "; TX and RX may be swapped")
+            _not_right(where, line)
+            if bad_frames or _carries_bytes(where, line)
+            else _nothing(where, "; TX and RX may be swapped")
         )
     if bad_frames:
-        text = f"{counted(bad_frames, 'frames were corrupt')} and none was right"
-        return wrong(Fault.LINK, "CAN", text, "check bit rate and termination")
-    return _nothing(where, ", the bit rate of 1 Mbit/s and the termination")
+        return wrong(
+            Fault.LINK,
+            "CAN",
+            f"{counted(bad_frames, 'frames or bits were corrupt')} and no frame was right on {line}",
+            f"{_bit_rate_of_can(where)}; check the termination",
+        )
+    return _nothing(where, f" and the termination; {_bit_rate_of_can(where)}")
+
+
+def _bit_rate_of_can(where: str) -> str:
+    """Return what to do about a bit rate that is not that of the boards, which no frame tells."""
+    *rates, last = RATES[Link.CAN]
+    told = f"the boards of a bus speak at {', '.join(map(str, rates))} or {last} bit/s: "
+    interface, _, channel = where.partition(":")
+    if interface == "socketcan":
+        return f"{told}sudo ip link set {channel} down, then sudo ip link set {channel} up type can bitrate {last}"
+    return f"{told}give another one with --bit-rate"
 
 
 def _nothing(where: str, more: str) -> Check:
     return wrong(Fault.LINK, "link", f"no board is heard at {where}", f"check the board's power and the cable{more}")
 
 
-def _carries_bytes(path: str) -> bool:
+def _carries_bytes(path: str, line: Line) -> bool:
     """Tell whether any byte arrives at a port within `BYTES_S`."""
     try:
-        with serial.Serial(path, BAUD_RATE, timeout=BYTES_S, exclusive=True) as port:
+        with serial.Serial(path, line.bit_rate, timeout=BYTES_S, exclusive=True) as port:
             return bool(port.read(1))
     except (serial.SerialException, OSError):
         return False
 
 
-def _not_right(path: str) -> Check:
-    rate = rate_of(path)
-    if rate is not None:
+def _not_right(path: str, line: Line) -> Check:
+    rate, ours = rate_of(path), RATES[Link.SERIAL]
+    *rates, last = ours
+    told = f"{', '.join(map(str, rates))} or {last} baud"
+    if rate is None:
         return wrong(
             Fault.BAUD,
             "baud rate",
-            f"the frames are right at {rate} baud, and the boards of goldfield speak at {BAUD_RATE}",
-            f"set what is at the other end (adapter, bridge) to {BAUD_RATE} baud",
+            "bytes arrive, and no frame of them is right at any rate",
+            f"check that the adapter is able to do {told}, that a goldfield sensor is at its other end, the ground "
+            "wire and the level (3.3 V)",
         )
+    if rate in ours:
+        text = f"the frames are right at {rate} baud, and the port was opened at {line.bit_rate}"
+        return wrong(Fault.BAUD, "baud rate", text, f"leave --bit-rate out, or give --bit-rate {rate}")
     return wrong(
         Fault.BAUD,
         "baud rate",
-        f"bytes arrive, and no frame of them is right at {BAUD_RATE} baud or at any other rate",
-        f"check that the adapter is able to do {BAUD_RATE} baud, that a goldfield sensor is at its other end, the "
-        "ground wire and the level (3.3 V)",
+        f"the frames are right at {rate} baud, and the boards of goldfield speak at {told}",
+        "set what is at the other end (adapter, bridge) to the baud rate of the board",
     )

@@ -13,18 +13,10 @@ from enum import StrEnum
 
 from goldfield.errors import counted
 from goldfield.link.blocks import BLOCK_CHIPS
-from goldfield.link.buses import CAN_BIT_RATE
+from goldfield.link.line import FASTEST, RATES, Line, Link
 from goldfield.link.reports import ON_SENSOR_POSE
-from goldfield.link.serial_bus import BAUD_RATE
 from goldfield_protocol.messages import database
 from goldfield_protocol.parameters import PARAMETERS
-
-
-class Link(StrEnum):
-    """The two links that a board has."""
-
-    SERIAL = "serial"
-    CAN = "CAN"
 
 
 class Carrier(StrEnum):
@@ -47,42 +39,31 @@ LEAST_HZ = 30.0
 """Fewest blocks a second that are asked for on CAN: three of the 33 in a cycle, the fewest that were tried."""
 LINK_BITS = {Link.SERIAL: 1, Link.CAN: 2}
 """Values of the parameter ``blocks``."""
-RATES = {Link.SERIAL: (115_200, 921_600, BAUD_RATE), Link.CAN: (125_000, 500_000, CAN_BIT_RATE)}
-"""Bits a second that the tables tell of. The last are those of the boards, which have no others; slower ones are those
-of what passes their messages on, a bridge or an adapter."""
-NAMES = {Link.SERIAL: f"serial at {BAUD_RATE / 1e6:g} Mbaud", Link.CAN: f"CAN at {CAN_BIT_RATE / 1e6:g} Mbit/s"}
 
 
-def message_s(link: Link, name: str, rate: int | None = None) -> float:
+def message_s(line: Line, name: str) -> float:
     """Return the longest time that a message takes on a link, s, with the pause behind it.
-
-    Parameters
-    ----------
-    link : Link
-    name : str
-    rate : int, optional
-        Bits a second, in place of those of the boards.
 
     Examples
     --------
-    >>> [round(1e6 * message_s(link, "BLOCK")) for link in Link]
+    >>> [round(1e6 * message_s(Line(link, RATES[link][0]), "BLOCK")) for link in Link]
     [80, 160]
     """
     length = database().get_message_by_name(name).length
-    if link is Link.SERIAL:
+    if line.link is Link.SERIAL:
         code_and_delimiter = 2  # COBS adds a byte to frames of this size
-        return 10 * (4 + length + 2 + code_and_delimiter) / (rate or BAUD_RATE)
+        return 10 * (4 + length + 2 + code_and_delimiter) / line.bit_rate
     stuffed = 39 + 8 * length + 15  # from the start of the frame to the end of its CRC
     delimiters_and_pause = 1 + 2 + 7 + 3
-    return (stuffed + (stuffed - 1) // 4 + delimiters_and_pause) / (rate or CAN_BIT_RATE)
+    return (stuffed + (stuffed - 1) // 4 + delimiters_and_pause) / line.bit_rate
 
 
-def load(link: Link, carrier: Carrier, codes: int, chips: int, chip_s: float, rate: int | None = None) -> float:
+def load(line: Line, carrier: Carrier, codes: int, chips: int, chip_s: float) -> float:
     """Return the part of a link that a sensor takes with its reports of so many codes, at most.
 
     Parameters
     ----------
-    link : Link
+    line : Line
     carrier : Carrier
         What is sent besides the cycles.
     codes : int
@@ -91,57 +72,57 @@ def load(link: Link, carrier: Carrier, codes: int, chips: int, chip_s: float, ra
         Chips in a cycle.
     chip_s : float
         Length of a chip, s.
-    rate : int, optional
-        Bits a second, in place of those of the boards.
     """
-    headers = sum(message_s(link, name, rate) for name in ("EPOCH", "EPOCH_STATUS", "EPOCH_OFFSET"))
-    cycles = (headers + codes * message_s(link, "FIELD", rate)) / (chips * chip_s)
+    headers = sum(message_s(line, name) for name in ("EPOCH", "EPOCH_STATUS", "EPOCH_OFFSET"))
+    cycles = (headers + codes * message_s(line, "FIELD")) / (chips * chip_s)
     if carrier is Carrier.BLOCKS:
-        return cycles + block_s(link, codes, rate) / (BLOCK_CHIPS * chip_s)
-    return cycles + (message_s(link, "CHIP", rate) / chip_s if carrier is Carrier.CHIPS else 0.0)
+        return cycles + block_s(line, codes) / (BLOCK_CHIPS * chip_s)
+    return cycles + (message_s(line, "CHIP") / chip_s if carrier is Carrier.CHIPS else 0.0)
 
 
-def most_reported(link: Link, codes: int, chips: int, chip_s: float, sensors: int = 1, rate: int | None = None) -> int:
+def most_reported(line: Line, codes: int, chips: int, chip_s: float, sensors: int = 1) -> int:
     """Return how many codes, up to so many, each of the sensors on a link can report in every cycle; 0: not even one.
 
     Examples
     --------
-    >>> [most_reported(Link.CAN, 64, 1023, 97.75e-6, rate=rate) for rate in (125_000, 500_000, 1_000_000)]
+    >>> [most_reported(Line(Link.CAN, rate), 64, 1023, 97.75e-6) for rate in (125_000, 500_000, 1_000_000)]
     [55, 64, 64]
-    >>> [most_reported(Link.SERIAL, 64, 1023, 97.75e-6, rate=rate) for rate in (115_200, 921_600)]
+    >>> [most_reported(Line(Link.SERIAL, rate), 64, 1023, 97.75e-6) for rate in (115_200, 921_600)]
     [61, 64]
     """
     fitting = (
         count
         for count in range(codes, 0, -1)
-        if sensors * load(link, Carrier.CYCLES, count, chips, chip_s, rate) <= SHARE[link]
+        if sensors * load(line, Carrier.CYCLES, count, chips, chip_s) <= SHARE[line.link]
     )
     return next(fitting, 0)
 
 
-def block_s(link: Link, codes: int, rate: int | None = None) -> float:
+def block_s(line: Line, codes: int) -> float:
     """Return the longest time that the messages of a block take, s: from its first byte to its last."""
-    return message_s(link, "BLOCK", rate) + codes * message_s(link, "BLOCK_SUM", rate)
+    return message_s(line, "BLOCK") + codes * message_s(line, "BLOCK_SUM")
 
 
-def block_rate_Hz(link: Link, codes: int, chips: int, chip_s: float, sensors: int = 1) -> float:
+def block_rate_Hz(line: Line, codes: int, chips: int, chip_s: float, sensors: int = 1) -> float:
     """Return how many blocks a second each of the sensors on a link can send; the arguments are those of `choose`.
 
     Examples
     --------
-    >>> [round(block_rate_Hz(Link.CAN, 8, 1023, 97.75e-6, sensors)) for sensors in (1, 2, 3, 4)]
+    >>> [round(block_rate_Hz(Line(Link.CAN, 1_000_000), 8, 1023, 97.75e-6, sensors)) for sensors in (1, 2, 3, 4)]
     [330, 248, 161, 118]
+    >>> [round(block_rate_Hz(Line(Link.CAN, rate), 8, 1023, 97.75e-6)) for rate in RATES[Link.CAN]]
+    [330, 248, 118, 53]
     """
-    if link is Link.CAN and codes > MOST_CODES_ON_CAN:
+    if line.link is Link.CAN and codes > MOST_CODES_ON_CAN:
         return 0.0
-    left = SHARE[link] / sensors - load(link, Carrier.CYCLES, codes, chips, chip_s)
-    return max(0.0, min(1.0 / (BLOCK_CHIPS * chip_s), left / block_s(link, codes)))
+    left = SHARE[line.link] / sensors - load(line, Carrier.CYCLES, codes, chips, chip_s)
+    return max(0.0, min(1.0 / (BLOCK_CHIPS * chip_s), left / block_s(line, codes)))
 
 
-def pose_rate_Hz(link: Link, codes: int, chips: int, chip_s: float, sensors: int = 1) -> float:
+def pose_rate_Hz(line: Line, codes: int, chips: int, chip_s: float, sensors: int = 1) -> float:
     """Return how many poses of its own blocks a second each of the sensors on a link can send, beside its cycles."""
-    pose_s = len(ON_SENSOR_POSE) * message_s(link, "BLOCK_SUM")  # the sensor pays for the longest
-    left = SHARE[link] / sensors - load(link, Carrier.CYCLES, codes, chips, chip_s) - pose_s / (chips * chip_s)
+    pose_s = len(ON_SENSOR_POSE) * message_s(line, "BLOCK_SUM")  # the sensor pays for the longest
+    left = SHARE[line.link] / sensors - load(line, Carrier.CYCLES, codes, chips, chip_s) - pose_s / (chips * chip_s)
     return max(0.0, min(1.0 / (BLOCK_CHIPS * chip_s), left / pose_s))
 
 
@@ -173,12 +154,12 @@ class Choice:
         return {PARAMETERS["stream"].first: 1} if self.carrier is Carrier.CHIPS else {}
 
 
-def choose(link: Link, codes: int, chips: int, chip_s: float, sensors: int = 1) -> Choice:
+def choose(line: Line, codes: int, chips: int, chip_s: float, sensors: int = 1) -> Choice:
     """Choose what the sensors on a link are to send: blocks where they fit, else chips, else cycles only.
 
     Parameters
     ----------
-    link : Link
+    line : Line
     codes, chips, chip_s
         As in `load`.
     sensors : int, optional
@@ -186,58 +167,58 @@ def choose(link: Link, codes: int, chips: int, chip_s: float, sensors: int = 1) 
 
     Examples
     --------
-    >>> print(choose(Link.CAN, 8, 1023, 97.75e-6).text)
+    >>> print(choose(Line(Link.CAN, 1_000_000), 8, 1023, 97.75e-6).text)
     sums of 8 codes 330 times a second, at most 49 % of CAN at 1 Mbit/s
-    >>> print(choose(Link.CAN, 20, 1023, 97.75e-6).text)
+    >>> print(choose(Line(Link.CAN, 1_000_000), 20, 1023, 97.75e-6).text)
     sums of 20 codes 212 times a second, not 330, at most 75 % of CAN at 1 Mbit/s
-    >>> print(choose(Link.CAN, 8, 1023, 97.75e-6, sensors=4).text)
+    >>> print(choose(Line(Link.CAN, 1_000_000), 8, 1023, 97.75e-6, sensors=4).text)
     sums of 8 codes 118 times a second, not 330, with those of 4 sensors at most 75 % of CAN at 1 Mbit/s
-    >>> print(choose(Link.CAN, 8, 1023, 97.75e-6, sensors=14).text)
+    >>> print(choose(Line(Link.CAN, 1_000_000), 8, 1023, 97.75e-6, sensors=14).text)
     whole cycles, 10 a second: sums of 8 codes of 14 sensors would come 25 times a second over CAN at 1 Mbit/s
-    >>> print(choose(Link.SERIAL, 40, 1023, 97.75e-6).text)
+    >>> print(choose(Line(Link.SERIAL, 2_000_000), 40, 1023, 97.75e-6).text)
     every chip, at most 85 % of serial at 2 Mbaud: sums of 40 codes 330 times a second would take 112 %
     """
 
     def taken(carrier: Carrier) -> float:
-        return sensors * load(link, carrier, codes, chips, chip_s)
+        return sensors * load(line, carrier, codes, chips, chip_s)
 
     blocks, streamed, most_Hz = taken(Carrier.BLOCKS), taken(Carrier.CHIPS), 1.0 / (BLOCK_CHIPS * chip_s)
     sums, full = f"sums of {counted(codes, 'codes')}", f"{most_Hz:.0f} times a second"
-    if blocks <= SHARE[link]:
+    if blocks <= SHARE[line.link]:
         with_all = "" if sensors == 1 else f" with those of {sensors} sensors"
-        text = f"{sums} {full},{with_all} at most {blocks:.0%} of {NAMES[link]}"
-        return Choice(Carrier.BLOCKS, blocks, _spaced(text), link)
-    if link is Link.SERIAL and streamed <= SHARE[link]:
-        text = f"every chip, at most {streamed:.0%} of {NAMES[link]}: {sums} {full} would take {blocks:.0%}"
-        return Choice(Carrier.CHIPS, streamed, _spaced(text), link)
-    rate_Hz = block_rate_Hz(link, codes, chips, chip_s, sensors) if link is Link.CAN else 0.0
+        text = f"{sums} {full},{with_all} at most {blocks:.0%} of {line}"
+        return Choice(Carrier.BLOCKS, blocks, _spaced(text), line.link)
+    if line.link is Link.SERIAL and streamed <= SHARE[line.link]:
+        text = f"every chip, at most {streamed:.0%} of {line}: {sums} {full} would take {blocks:.0%}"
+        return Choice(Carrier.CHIPS, streamed, _spaced(text), line.link)
+    rate_Hz = block_rate_Hz(line, codes, chips, chip_s, sensors) if line.link is Link.CAN else 0.0
     if rate_Hz >= LEAST_HZ:
         with_all = "" if sensors == 1 else f" with those of {sensors} sensors"
         some = f"{rate_Hz:.0f} times a second, not {most_Hz:.0f}"
-        text = f"{sums} {some},{with_all} at most {SHARE[link]:.0%} of {NAMES[link]}"
-        return Choice(Carrier.BLOCKS, SHARE[link], _spaced(text), link, reduced=True)
+        text = f"{sums} {some},{with_all} at most {SHARE[line.link]:.0%} of {line}"
+        return Choice(Carrier.BLOCKS, SHARE[line.link], _spaced(text), line.link, reduced=True)
     of_sensors = "" if sensors == 1 else f" of {sensors} sensors"
     if rate_Hz > 0.0:
-        why = f"{sums}{of_sensors} would come {rate_Hz:.0f} times a second over {NAMES[link]}"
+        why = f"{sums}{of_sensors} would come {rate_Hz:.0f} times a second over {line}"
     else:
-        why = f"{sums}{of_sensors} {full} would take {blocks:.0%} of {NAMES[link]}, more than {SHARE[link]:.0%}"
+        why = f"{sums}{of_sensors} {full} would take {blocks:.0%} of {line}, more than {SHARE[line.link]:.0%}"
     text = f"whole cycles, {1.0 / (chips * chip_s):.0f} a second: {why}"
-    return Choice(Carrier.CYCLES, taken(Carrier.CYCLES), _spaced(text), link)
+    return Choice(Carrier.CYCLES, taken(Carrier.CYCLES), _spaced(text), line.link)
 
 
-def cycles_of_strongest(link: Link, codes: int, chips: int, chip_s: float) -> Choice:
+def cycles_of_strongest(line: Line, codes: int, chips: int, chip_s: float) -> Choice:
     """Return the choice for a sensor that chooses so many codes, at most, anew in each cycle: whole cycles.
 
     Examples
     --------
-    >>> print(cycles_of_strongest(Link.CAN, 8, 1023, 97.75e-6).text)
+    >>> print(cycles_of_strongest(Line(Link.CAN, 1_000_000), 8, 1023, 97.75e-6).text)
     whole cycles, 10 a second, at most 2 % of CAN at 1 Mbit/s: the up to 8 codes that it chooses change
     """
-    taken = load(link, Carrier.CYCLES, codes, chips, chip_s)
+    taken = load(line, Carrier.CYCLES, codes, chips, chip_s)
     rate = f"{1.0 / (chips * chip_s):.0f} a second"
-    text = f"whole cycles, {rate}, at most {taken:.0%} of {NAMES[link]}: the up to {counted(codes, 'codes')} that it"
+    text = f"whole cycles, {rate}, at most {taken:.0%} of {line}: the up to {counted(codes, 'codes')} that it"
     return Choice(
-        Carrier.CYCLES, taken, _spaced(f"{text} {'chooses change' if codes > 1 else 'chooses changes'}"), link
+        Carrier.CYCLES, taken, _spaced(f"{text} {'chooses change' if codes > 1 else 'chooses changes'}"), line.link
     )
 
 
@@ -260,8 +241,8 @@ def table(chips: int = 1023, chip_s: float = 97.75e-6) -> str:
             (Link.SERIAL, (Carrier.CYCLES, Carrier.BLOCKS, Carrier.CHIPS)),
             (Link.CAN, (Carrier.CYCLES, Carrier.BLOCKS)),
         ):
-            cells += [f"{100.0 * load(link, carrier, codes, chips, chip_s):.1f} %" for carrier in carriers]
-            cells.append(f"{1e3 * block_s(link, codes):.2f}")
+            cells += [f"{100.0 * load(FASTEST[link], carrier, codes, chips, chip_s):.1f} %" for carrier in carriers]
+            cells.append(f"{1e3 * block_s(FASTEST[link], codes):.2f}")
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 
@@ -278,8 +259,8 @@ def shared_table(chips: int = 1023, chip_s: float = 97.75e-6) -> str:
     for codes in TABLE_CODES[:-1]:
         rates = [
             (
-                block_rate_Hz(Link.CAN, codes, chips, chip_s, sensors),
-                pose_rate_Hz(Link.CAN, codes, chips, chip_s, sensors),
+                block_rate_Hz(FASTEST[Link.CAN], codes, chips, chip_s, sensors),
+                pose_rate_Hz(FASTEST[Link.CAN], codes, chips, chip_s, sensors),
             )
             for sensors in TABLE_SENSORS
         ]
@@ -294,35 +275,30 @@ def rate_table(chips: int = 1023, chip_s: float = 97.75e-6) -> str:
         "| link | bits a second | cycles of 8 codes | of 16 | of 64 | most codes, 1 sensor | 4 sensors | 16 sensors |",
         "| --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
-    for link, rates in RATES.items():
-        for rate in rates:
-            parts = [f"{100.0 * load(link, Carrier.CYCLES, codes, chips, chip_s, rate):.1f} %" for codes in (8, 16, 64)]
-            sensors = (1, 4, 16) if link is Link.CAN else (1,)
-            most = [str(most_reported(link, 64, chips, chip_s, count, rate) or "-") for count in sensors]
-            cells = [str(link), f"{rate:,}", *parts, *most, *[""] * (3 - len(most))]
-            lines.append(f"| {' | '.join(cells)} |")
+    for line in (Line(link, rate) for link, rates in RATES.items() for rate in reversed(rates)):
+        parts = [f"{100.0 * load(line, Carrier.CYCLES, codes, chips, chip_s):.1f} %" for codes in (8, 16, 64)]
+        sensors = (1, 4, 16) if line.link is Link.CAN else (1,)
+        most = [str(most_reported(line, 64, chips, chip_s, count) or "-") for count in sensors]
+        cells = [str(line.link), f"{line.bit_rate:,}", *parts, *most, *[""] * (3 - len(most))]
+        lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 
 
-def reported_text(link: Link, codes: int, chips: int, chip_s: float, sensors: int, rate: int) -> str:
-    """Return how many codes a sensor is to report on a link of a rate, where up to ``codes`` are wanted, and why.
+def reported_text(line: Line, codes: int, chips: int, chip_s: float, sensors: int) -> str:
+    """Return how many codes a sensor is to report on a link, where up to ``codes`` are wanted, and why.
 
     Examples
     --------
-    >>> print(reported_text(Link.CAN, 16, 1023, 97.75e-6, 4, 125_000))
-    11 of the strongest codes, not 16: with those of 4 sensors at most 75 % of CAN at 125000 bit/s
+    >>> print(reported_text(Line(Link.CAN, 125_000), 16, 1023, 97.75e-6, 4))
+    11 of the strongest codes, not 16: with those of 4 sensors at most 75 % of CAN at 125 kbit/s
     """
-    most = most_reported(link, codes, chips, chip_s, sensors, rate)
+    most = most_reported(line, codes, chips, chip_s, sensors)
     with_all = "" if sensors == 1 else f" with those of {sensors} sensors"
     if most == 0:
-        return _spaced(
-            f"nothing: one code a cycle{with_all} takes more than {SHARE[link]:.0%} of {link} at {rate} bit/s"
-        )
-    part = sensors * load(link, Carrier.CYCLES, most, chips, chip_s, rate)
+        return _spaced(f"nothing: one code a cycle{with_all} takes more than {SHARE[line.link]:.0%} of {line}")
     fewer = f", not {codes}" if most < codes else ""
-    share = SHARE[link] if fewer else part
-    text = f"{most} of the strongest codes{fewer}:{with_all} at most {share:.0%} of {link} at {rate} bit/s"
-    return _spaced(text)
+    share = SHARE[line.link] if fewer else sensors * load(line, Carrier.CYCLES, most, chips, chip_s)
+    return _spaced(f"{most} of the strongest codes{fewer}:{with_all} at most {share:.0%} of {line}")
 
 
 def _or_none(rate_Hz: float, least_Hz: float = LEAST_HZ) -> str:
@@ -338,20 +314,19 @@ def main(given: list[str] | None = None) -> None:
     parser.add_argument("--chips", type=int, default=1023, metavar="N", help="chips in a cycle (default 1023)")
     options = parser.parse_args(given)
     chip_s = 97.75e-6
-    if options.strongest is not None:
-        for link in Link:
-            print(f"{link}: {cycles_of_strongest(link, options.strongest, options.chips, chip_s).text}")
-            for rate in RATES[link]:
-                sensors = options.sensors if link is Link.CAN else 1
-                print(f"  {reported_text(link, options.strongest, options.chips, chip_s, sensors, rate)}")
-        return
-    if options.codes is None:
+    if options.codes is None and options.strongest is None:
         print(table(options.chips), shared_table(options.chips), rate_table(options.chips), sep="\n", end="")
         return
-    for link, sensors in ((Link.SERIAL, 1), (Link.CAN, options.sensors)):
-        print(f"{link}: {choose(link, options.codes, options.chips, chip_s, sensors).text}")
-    rate_Hz = pose_rate_Hz(Link.CAN, options.codes, options.chips, chip_s, options.sensors)
-    print(f"{Link.CAN}, poses of the sensors themselves (--on-sensor): {rate_Hz:.0f} a second")
+    for link, rates in RATES.items():
+        sensors = options.sensors if link is Link.CAN else 1
+        for line in (Line(link, rate) for rate in rates):
+            if options.strongest is not None:
+                print(f"{line}: {reported_text(line, options.strongest, options.chips, chip_s, sensors)}")
+                continue
+            print(f"{link}: {choose(line, options.codes, options.chips, chip_s, sensors).text}")
+            if link is Link.CAN:
+                rate_Hz = pose_rate_Hz(line, options.codes, options.chips, chip_s, sensors)
+                print(f"  poses of the sensors themselves (--on-sensor): {rate_Hz:.0f} a second")
 
 
 if __name__ == "__main__":

@@ -14,13 +14,12 @@ import can
 
 from goldfield.errors import SystemFailure, UserError, option, tell
 from goldfield.link.access_key import AccessKey
-from goldfield.link.can_channel import open_channel, resynchronise
+from goldfield.link.can_channel import kernel_bit_rate, open_channel, resynchronise
+from goldfield.link.line import RATES, Line, Link, checked_rate
 from goldfield.link.loopback_bus import LoopbackBus
 from goldfield.link.recordings import CandumpReader
 from goldfield.link.serial_bus import SerialBus
 from goldfield.link.traffic import CORRUPT, GARBLED, added, kind_of, no_traffic
-
-CAN_BIT_RATE = 1_000_000
 
 LOOK_S = 0.1
 """Longest wait of one look at a bus."""
@@ -68,9 +67,12 @@ class BusSource:
         Whether other boards may be on the link, as on CAN; a serial line has one board.
     listen_only : bool, optional
         Nothing is ever sent: `send` raises.
-    reopen : callable, optional
-        Opens the bus again; it raises `UserError` or `can.CanError` as long as that is impossible. With it a link that
-        is gone is waited for, without end; else it ends the source.
+    opens : callable, optional
+        Opens the bus again at a bit rate; it raises `UserError` or `can.CanError` as long as that is impossible.
+    reconnects : bool, optional
+        A link that is gone is opened again, and waited for without end; else it ends the source.
+    bit_rate : int, optional
+        Bits a second, of a bus that does not tell it itself.
 
     Attributes
     ----------
@@ -78,8 +80,6 @@ class BusSource:
         How often the link was opened again.
     gone : str
         Why the link is gone, while it is waited for; else empty. Other threads may look at it.
-    link_bit : int
-        The link's bit in the parameters of a board that choose links: 1 a serial line, 2 CAN.
     key : AccessKey or None
         The key with which boards on the link are unlocked, if they are locked.
     sender_waits : bool
@@ -91,7 +91,6 @@ class BusSource:
     reconnects = False
     reconnections = 0
     gone = ""
-    link_bit = 1
     sender_waits = False
     key: AccessKey | None = None
 
@@ -102,21 +101,29 @@ class BusSource:
         *,
         shared: bool = False,
         listen_only: bool = False,
-        reopen: Callable[[], can.BusABC] | None = None,
+        opens: Callable[[int], can.BusABC] | None = None,
+        reconnects: bool = False,
+        bit_rate: int | None = None,
     ) -> None:
         self.name = name
         self.shared = shared
-        self.link_bit = 2 if shared else 1
         self.listen_only = listen_only
-        self.reconnects = reopen is not None
+        self.reconnects = reconnects
         self.sender_waits = isinstance(bus, SerialBus) and bus.sender_waits
-        self._reopen = reopen
+        self._opens = opens
+        self._bit_rate = bit_rate or RATES[Link.CAN if shared else Link.SERIAL][0]
         self._traffic = no_traffic()
         self._sent: deque[tuple[int, bytes]] = deque(maxlen=ECHOES)
         self._queue: queue.SimpleQueue[list[can.Message] | Exception] = queue.SimpleQueue()
         self._taken: deque[can.Message] = deque()
         self._stop = threading.Event()
         self._begin(bus)
+
+    @property
+    def line(self) -> Line:
+        """What the link is, and at which rate: that of a serial port is known when the first frame has come."""
+        bit_rate = self._bus.bit_rate if isinstance(self._bus, SerialBus) else self._bit_rate
+        return Line(Link.CAN if self.shared else Link.SERIAL, bit_rate)
 
     @property
     def traffic(self) -> Mapping[str, int]:
@@ -143,10 +150,10 @@ class BusSource:
         if not isinstance(item, Exception):
             self._taken.extend(item)
             return self._taken.popleft()
-        if self._reopen is None:
+        if self._opens is None or not self.reconnects:
             self._queue.put(item)
             raise SystemFailure(_sentence(self.name, item)) from item
-        self._reconnect(item, self._reopen)
+        self._reconnect(item, self._opens)
         return None
 
     def send(self, identifier: int, data: bytes) -> None:
@@ -157,8 +164,18 @@ class BusSource:
         try:
             self._bus.send(can.Message(arbitration_id=identifier, is_extended_id=True, data=data), timeout=1.0)
         except (can.CanError, OSError) as error:
-            if self._reopen is None:
+            if not self.reconnects:
                 raise SystemFailure(_sentence(self.name, error)) from error
+
+    def set_bit_rate(self, bit_rate: int) -> None:
+        """Close the link, and open it at another rate; `UserError` if that is not for this program to set."""
+        if self._opens is None:
+            raise UserError(f"{self.name}: its bit rate cannot be set: open it again")
+        self.close()
+        self._queue, self._taken, self._stop = queue.SimpleQueue(), deque(), threading.Event()
+        bus = self._opens(bit_rate)
+        self._bit_rate = bit_rate
+        self._begin(bus)
 
     def close(self) -> None:
         """Stop the thread and shut the bus down."""
@@ -220,7 +237,7 @@ class BusSource:
             return False
         return True
 
-    def _reconnect(self, error: Exception, reopen: Callable[[], can.BusABC]) -> None:
+    def _reconnect(self, error: Exception, opens: Callable[[int], can.BusABC]) -> None:
         """Wait until the link can be opened again, and read on."""
         self.gone = f"{_sentence(self.name, error)}; waiting for it"
         tell(self.gone)
@@ -229,7 +246,7 @@ class BusSource:
         begin_s = time.monotonic()
         while True:
             try:
-                bus = reopen()
+                bus = opens(self.line.bit_rate)
                 break
             except (can.CanError, UserError):
                 time.sleep(RETRY_S)
@@ -268,34 +285,61 @@ class LogSource:
         self._reader.close()
 
 
-def open_port(path: str, *, listen_only: bool = False, reconnect: bool = False) -> BusSource:
-    """Open a serial port; `UserError` if that fails. `BusSource` tells the options."""
+def open_port(
+    path: str, *, listen_only: bool = False, reconnect: bool = False, bit_rate: int | None = None
+) -> BusSource:
+    """Open a serial port; `UserError` if that fails. `BusSource` tells the options; without a rate it is found."""
+    others = RATES[Link.SERIAL] if bit_rate is None else ()
+    first = RATES[Link.SERIAL][0] if bit_rate is None else checked_rate(Link.SERIAL, bit_rate)
 
-    def opened() -> can.BusABC:
-        return SerialBus(path, listen_only=listen_only)
+    def opened(rate: int) -> can.BusABC:
+        return SerialBus(path, rate, listen_only, [other for other in others if other != rate])
 
     try:
-        return BusSource(opened(), path, listen_only=listen_only, reopen=opened if reconnect else None)
+        return BusSource(opened(first), path, listen_only=listen_only, opens=opened, reconnects=reconnect)
     except can.CanError as error:
         raise UserError(f"{error}: check {option('port')}") from error
 
 
-def open_can(where: str, *, listen_only: bool = False, reconnect: bool = False) -> BusSource:
-    """Open ``INTERFACE:CHANNEL`` of python-can; `UserError` if that fails. `BusSource` tells the options."""
+def open_can(
+    where: str, *, listen_only: bool = False, reconnect: bool = False, bit_rate: int | None = None
+) -> BusSource:
+    """Open ``INTERFACE:CHANNEL`` of python-can; `UserError` if that fails. `BusSource` tells the options.
+
+    Without a rate it is that of the kernel's interface, where it has one, else the rate that boards have from the
+    works.
+    """
     interface, separator, channel = where.partition(":")
     given = option("can", where)
     if not (interface and separator and channel):
         raise UserError(f"{given}: is not INTERFACE:CHANNEL, as in socketcan:can0 or udp_multicast:239.74.163.2")
     if interface not in can.VALID_INTERFACES:
         raise UserError(f"{given}: python-can knows no interface {interface}; it knows {_known_interfaces()}")
+    if bit_rate is not None:
+        checked_rate(Link.CAN, bit_rate)
+    kernels = kernel_bit_rate(channel) if interface == "socketcan" else None
 
-    def opened() -> can.BusABC:
+    def opened(rate: int) -> can.BusABC:
+        if kernels not in (None, rate):
+            raise UserError(
+                f"{option('bit_rate', rate)}: the kernel runs {channel} at {kernels} bit/s: sudo ip link set {channel} "
+                f"down, then sudo ip link set {channel} up type can bitrate {rate}"
+            )
         try:
-            return open_channel(interface, channel, listen_only=listen_only, bitrate=CAN_BIT_RATE)
+            return open_channel(interface, channel, listen_only=listen_only, bitrate=rate)
         except Exception as error:  # each vendor's interface raises its own kinds
             raise UserError(f"{given}: cannot be opened: {_one_line(error)}") from error
 
-    return BusSource(opened(), where, shared=True, listen_only=listen_only, reopen=opened if reconnect else None)
+    first = bit_rate or kernels or RATES[Link.CAN][0]
+    return BusSource(
+        opened(first),
+        where,
+        shared=True,
+        listen_only=listen_only,
+        opens=opened,
+        reconnects=reconnect,
+        bit_rate=first,
+    )
 
 
 def _bad_frames(bus: can.BusABC) -> dict[str, int]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import socket
+import subprocess
 import sys
 from typing import Any
 
@@ -14,6 +16,10 @@ logging.getLogger("can").addHandler(logging.NullHandler())
 
 MULTICAST_ALL = {socket.AF_INET: (socket.IPPROTO_IP, 49), socket.AF_INET6: (socket.IPPROTO_IPV6, 29)}
 """Level and number of Linux's options IP_MULTICAST_ALL and IPV6_MULTICAST_ALL, which Python does not name."""
+
+
+IP_S = 5.0
+"""Longest wait for the program ip, s."""
 
 
 def open_channel(interface: str, channel: str, *, listen_only: bool = False, **options: Any) -> can.BusABC:
@@ -50,6 +56,16 @@ def open_channel(interface: str, channel: str, *, listen_only: bool = False, **o
             own.setsockopt(*MULTICAST_ALL[family], 0)
         _drain(bus)
     return bus
+
+
+def kernel_bit_rate(channel: str) -> int | None:
+    """Return the bit rate of a CAN interface of the kernel, which ``ip link`` sets; None if it has or tells none."""
+    command = ["ip", "-details", "-json", "link", "show", "dev", channel]
+    try:
+        told = subprocess.run(command, capture_output=True, text=True, timeout=IP_S, check=True).stdout
+        return int(json.loads(told)[0]["linkinfo"]["info_data"]["bittiming"]["bitrate"])
+    except (OSError, subprocess.SubprocessError, ValueError, LookupError, TypeError):
+        return None  # no such program, no such interface, or a virtual one
 
 
 def resynchronise(bus: can.BusABC) -> None:

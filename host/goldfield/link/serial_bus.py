@@ -6,16 +6,22 @@ import errno
 import os
 import time
 from collections import deque
+from collections.abc import Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
 import can
 import serial
 
+from goldfield.errors import tell
 from goldfield.link.terminals import put_back, settings_of, whose_terminal
-from goldfield_protocol.framing import FrameDecoder, encode_frame
+from goldfield_protocol.framing import FrameDecoder, RawFrame, encode_frame
+from goldfield_protocol.messages import mismatch
+from goldfield_protocol.rates import SERIAL_RATES
 
-BAUD_RATE = 2_000_000
+ENOUGH_BYTES = 64
+"""So many bytes hold three whole frames: if none of them is right, they were sent at another rate."""
 
 POLL_S = 0.05
 """Longest wait in one read: setting pyserial's time-out for each read would reconfigure the port each time."""
@@ -40,6 +46,13 @@ class SerialBus(can.BusABC):
     baudrate : int
     listen_only : bool
         Nothing is ever sent.
+    others : sequence of int
+        Rates at which the port is listened to, one after the other, as long as bytes come and no frame is right.
+
+    Attributes
+    ----------
+    bit_rate : int
+        The rate that it is set to.
 
     Raises
     ------
@@ -52,8 +65,18 @@ class SerialBus(can.BusABC):
     A bad frame costs that frame only and is counted in `bad_frames`. A lost port raises `can.CanOperationError`.
     """
 
-    def __init__(self, channel: str, baudrate: int = BAUD_RATE, listen_only: bool = False, **kwargs: Any) -> None:
+    def __init__(
+        self,
+        channel: str,
+        baudrate: int = SERIAL_RATES[0],
+        listen_only: bool = False,
+        others: Sequence[int] = (),
+        **kwargs: Any,
+    ) -> None:
         self._port_name = channel
+        self.bit_rate = self._first_rate = baudrate
+        self._rates = cycle([*others, baudrate]) if others else None
+        self._bytes = self._frames = 0  # since the rate was set, as long as it is looked for
         self._decoder = FrameDecoder()
         self._received: deque[can.Message] = deque()
         self._in_step = False
@@ -109,16 +132,47 @@ class SerialBus(can.BusABC):
                     chunk += self._port.read(self._port.in_waiting)
             except (serial.SerialException, OSError, TypeError) as error:
                 raise self._gone(error) from error  # TypeError: pyserial's answer to a port closed in another thread
-            self._decode(chunk)
+            found = self._decode(chunk)
+            if self._rates is not None:
+                self._look_for_rate(len(chunk), found)
             if not self._received and deadline is not None and time.monotonic() >= deadline:
                 break
         return (self._received.popleft() if self._received else None), False
 
-    def _decode(self, chunk: bytes) -> None:
+    def _look_for_rate(self, count: int, frames: Sequence[RawFrame]) -> None:
+        """Judge the rate by so many bytes, and the frames in them: it is right, wrong, or not known yet."""
+        self._bytes += count
+        self._frames += len(frames)
+        ours = any(mismatch(frame.identifier, len(frame.data)) is None for frame in frames)
+        if ours or self._frames > 1:  # one frame with a right checksum may be chance
+            self._rates = None
+            if self.bit_rate != self._first_rate:
+                tell(f"{self._port_name}: the frames are right at {self.bit_rate} baud")
+        elif self._bytes >= ENOUGH_BYTES and self._rates is not None:
+            self._set_rate(next(self._rates))
+
+    def _set_rate(self, bit_rate: int) -> None:
+        try:
+            self._port.baudrate = bit_rate
+            self._port.reset_input_buffer()
+            if not self._listen_only:
+                self._port.write(b"\0")
+        except ValueError:  # the adapter has no such rate: the next one is tried
+            pass
+        except (serial.SerialException, OSError, TypeError) as error:
+            raise self._gone(error) from error
+        self.bit_rate = bit_rate
+        self._decoder = FrameDecoder()
+        self._in_step = False
+        self._bytes = self._frames = 0
+
+    def _decode(self, chunk: bytes) -> list[RawFrame]:
+        found: list[RawFrame] = []
         now = time.time()
         head, delimiter, rest = chunk.partition(b"\0")
         for part in (chunk,) if self._in_step else (head + delimiter, rest):
             for frame in self._decoder.feed(part):
+                found.append(frame)
                 message = can.Message(
                     timestamp=now, arbitration_id=frame.identifier, data=frame.data, channel=self._port_name
                 )
@@ -127,6 +181,7 @@ class SerialBus(can.BusABC):
                 # Listening began in the middle of a frame, which is no fault of the line.
                 self._in_step = True
                 self._decoder.bad_crc = self._decoder.malformed = self._decoder.overlong = 0
+        return found
 
     def fileno(self) -> int:
         """Return the port's file descriptor."""

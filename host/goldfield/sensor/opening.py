@@ -28,6 +28,7 @@ def connect(
     lag_s: float | None = None,
     strongest: int | None = None,
     key: str | Path | None = None,
+    bit_rate: int | None = None,
 ) -> Sensor:
     """Connect to a sensor board: find it, check that it suits the site, and make it report the site's beacons.
 
@@ -46,8 +47,8 @@ def connect(
     rate_hz, lag_s : float, optional
         Track; yield so many poses a second, each as soon as its block of chips (330 a second), or with ``on_sensor``
         the sensor's own, is there; yield them so much later, made of what came behind them, too.
-    strongest, key : int and path, optional
-        Let the sensor report the codes that it hears best, so many (up to 64); the file of a locked sensor's key.
+    strongest, key, bit_rate : int, path and int, optional
+        Report the codes heard best, so many (up to 64); file of a locked sensor's key; bits a second (else found).
 
     Returns
     -------
@@ -72,7 +73,7 @@ def connect(
     """
     method = chosen_method(track, on_sensor, rate_hz, lag_s)
     told = (listen_only, reconnect, rate_hz, lag_s, reconnect, strongest, None if key is None else load_key(key))
-    return open_sensor(*_only(port=port, can=can), _site(site), Options(method, node, None, None, *told))
+    return open_sensor(*_only(port=port, can=can), _site(site), Options(method, node, None, None, *told, bit_rate))
 
 
 def open_log(

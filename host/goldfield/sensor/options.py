@@ -89,6 +89,8 @@ class Options:
         In a recording it has done so. Poses are then made of whole cycles.
     key : AccessKey or None
         What unlocks the sensor if it is locked and is not set up yet.
+    bit_rate : int or None
+        Bits a second of a live link; None: they are found on a serial line, on CAN those of the kernel or 1 Mbit/s.
     """
 
     method: Method = Method.EACH
@@ -102,6 +104,7 @@ class Options:
     awaits: bool = False
     strongest: int | None = None
     key: AccessKey | None = field(default=None, repr=False)
+    bit_rate: int | None = None
 
     def check(self, site: Site) -> None:
         """Check that the options suit a site.

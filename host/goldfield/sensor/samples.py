@@ -7,12 +7,15 @@ from collections.abc import Generator, Iterator
 
 import numpy as np
 
-from goldfield.errors import SystemFailure
+from goldfield.errors import SystemFailure, UserError
+from goldfield.link.budget import SHARE, Carrier, load
 from goldfield.link.chips import Calibration, ChipAssembler
 from goldfield.link.heartbeat import STATE_STARTING
+from goldfield.link.line import FASTEST, Link
 from goldfield.sensor.awaiting import until_heard
 from goldfield.sensor.dialogue import STREAM
 from goldfield.sensor.finding import SILENCE_S, WAIT_S
+from goldfield.sensor.options import MOST_STRONGEST
 from goldfield.sensor.session import Session
 from goldfield.site import Site
 from goldfield.types import FloatArray
@@ -39,11 +42,13 @@ def sample_cycles(session: Session, site: Site) -> Generator[FloatArray]:
     SystemFailure
         If no sensor is heard, or it does not answer, or sends no sample for `SILENCE_S`, and is not waited for.
     UserError
-        If a node speaks another protocol, or the sensor works with codes of another degree than the site's.
+        If a node speaks another protocol, the sensor works with codes of another degree than the site's, or the link
+        does not carry all samples.
     """
 
     def begun() -> tuple[Calibration, _Stream]:
         session.find()
+        _check_line(session, site)
         return _calibration(session, site), _Stream(session)
 
     calibration, stream = until_heard(begun, awaits=session.waits)
@@ -51,6 +56,18 @@ def sample_cycles(session: Session, site: Site) -> Generator[FloatArray]:
         yield from _cycles(stream, ChipAssembler(site.chips), calibration)
     finally:
         stream.end()
+
+
+def _check_line(session: Session, site: Site) -> None:
+    line = session.line
+    if line is None:
+        return
+    codes = min(len(site.codes), MOST_STRONGEST)
+    part, most = load(line, Carrier.CHIPS, codes, site.chips, site.chip_period_s), SHARE[line.link]
+    if part > most:
+        fastest = FASTEST[Link.SERIAL].bit_rate
+        told = f"{session.name}: the samples take {part:.0%} of {line}, more than {most:.0%}".replace("%", " %")
+        raise UserError(f"{told}: let the board speak faster, with goldfield nodes bit-rate {fastest}")
 
 
 def _calibration(session: Session, site: Site) -> Calibration:

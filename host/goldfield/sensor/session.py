@@ -10,10 +10,11 @@ import can
 
 from goldfield.errors import SystemFailure, UserError, counted, option
 from goldfield.link.blocks import BlockAssembler
-from goldfield.link.budget import LINK_BITS, Carrier, Choice, Link
+from goldfield.link.budget import LINK_BITS, Choice
 from goldfield.link.buses import BusSource, Source
 from goldfield.link.chip_blocks import ChipBlockAssembler
 from goldfield.link.heartbeat import ROLE_ANCHOR, ROLE_SENSOR, STATE_STARTING
+from goldfield.link.line import Line
 from goldfield.link.marks import is_mark, reads
 from goldfield.link.reports import ON_SENSOR_POSE, SHORTEST_SILENCE_S, Assembler, Report
 from goldfield.link.requests import set_request, value_of
@@ -124,7 +125,7 @@ class Session:
         self._node: int | None = None
         if blocks:
             self.blocks = BlockAssembler(site.codes, site.chips, self._chip_s)
-        self._sharing = Sharing(self.receiver, site, self._link, blocks=blocks, strongest=strongest)
+        self._sharing = Sharing(self.receiver, site, self._bus, blocks=blocks, strongest=strongest)
         self.poses = OnSensorTrack(site) if poses else None
         self.keeping = Keeping(self.receiver)
         self.backlog = Backlog()
@@ -161,11 +162,9 @@ class Session:
         return self._bus is not None
 
     @property
-    def _link(self) -> Link | None:
-        """What a live sensor is read over."""
-        if self._bus is None:
-            return None
-        return Link.CAN if self._bus.link_bit == LINK_BITS[Link.CAN] else Link.SERIAL
+    def line(self) -> Line | None:
+        """The link that a live sensor is read over; at the rate that is known once the sensor is found."""
+        return None if self._bus is None else self._bus.line
 
     @property
     def block_parameters(self) -> Parameters:
@@ -238,8 +237,10 @@ class Session:
         if self._chooses is not None:
             self._parameters[STRONGEST] = self._chooses
         self._sharing.take(self._sharing.moving, self._node, self._parameters)
-        if self.choice is not None and self.choice.carrier is Carrier.CYCLES:
-            self._parameters.pop(BLOCKS, None)  # the bus is fuller than was known when they were chosen
+        if self.choice is not None:
+            for parameter in (BLOCKS, STREAM):  # the link is slower, or fuller, than was known when they were chosen
+                self._parameters.pop(parameter, None)
+            self._parameters |= self.choice.parameters
         if STREAM in self._parameters:
             self._streamed_before = self.dialogue.ask(STREAM)
             self.blocks = ChipBlockAssembler(self._site.chips, self._chip_s, self.dialogue.calibration())
@@ -256,7 +257,7 @@ class Session:
         """
         if self._bus is None or self.node is None:
             return
-        wanted, bit, before = self._parameters or {}, self._bus.link_bit, self.keeping.links_before
+        wanted, bit, before = self._parameters or {}, LINK_BITS[self._bus.line.link], self.keeping.links_before
         with contextlib.suppress(SystemFailure):
             if wanted.get(BLOCKS) and before is not None and not before & bit:
                 others = (self.keeping.links or 0) & ~bit

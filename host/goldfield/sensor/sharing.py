@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from goldfield.link.blocks import BLOCK_CHIPS
-from goldfield.link.budget import Carrier, Choice, Link, choose, cycles_of_strongest, pose_rate_Hz
+from goldfield.link.budget import Carrier, Choice, choose, cycles_of_strongest, pose_rate_Hz
+from goldfield.link.buses import BusSource
 from goldfield.sensor.dialogue import Parameters
 from goldfield.sensor.receiver import Receiver
 from goldfield.site import Site
@@ -20,7 +21,7 @@ class Sharing:
     receiver : Receiver
         Tells it to the user, once.
     site : Site
-    link : Link or None
+    bus : BusSource or None
         What a live sensor is read over; None: a recording.
     blocks : bool
         Whether blocks of chips are read, if they come.
@@ -36,24 +37,24 @@ class Sharing:
     """
 
     def __init__(
-        self, receiver: Receiver, site: Site, link: Link | None, *, blocks: bool, strongest: int | None = None
+        self, receiver: Receiver, site: Site, bus: BusSource | None, *, blocks: bool, strongest: int | None = None
     ) -> None:
         self.moving: set[int] = set()
         self._receiver = receiver
         self._site = site
         self._chip_s = site.cycle_s / site.chips
-        self._link = link
+        self._bus = bus
         self._strongest = strongest
         self._codes = len(site.codes) if strongest is None else strongest
         self.choice: Choice | None = self._chosen(1) if blocks else None
 
     def _chosen(self, sensors: int) -> Choice | None:
         site = self._site
-        if self._link is None:
+        if self._bus is None:
             return None
         if self._strongest is not None:
-            return cycles_of_strongest(self._link, self._strongest, site.chips, self._chip_s)
-        return choose(self._link, self._codes, site.chips, self._chip_s, sensors)
+            return cycles_of_strongest(self._bus.line, self._strongest, site.chips, self._chip_s)
+        return choose(self._bus.line, self._codes, site.chips, self._chip_s, sensors)
 
     def take(self, moving: set[int], node: int | None, parameters: Parameters) -> None:
         """Take note of who tells of its motion.
@@ -73,11 +74,10 @@ class Sharing:
         if self.choice is not None and (self.choice.carrier is not Carrier.BLOCKS or self.choice.reduced):
             self._receiver.tell_once(f"the sensor sends {self.choice.text}")
         every = int(parameters.get(POSE_BLOCKS, 0))
-        if every and self._link is Link.CAN:
-            site = self._site
+        if every and self._bus is not None:
+            site, line = self._site, self._bus.line
             wanted_Hz = 1.0 / (every * BLOCK_CHIPS * self._chip_s)
-            most_Hz = pose_rate_Hz(Link.CAN, self._codes, site.chips, self._chip_s, sensors)
+            most_Hz = pose_rate_Hz(line, self._codes, site.chips, self._chip_s, sensors)
             if most_Hz < wanted_Hz:
-                self._receiver.tell_once(
-                    f"the sensor sends {most_Hz:.0f} poses a second, not {wanted_Hz:.0f}: {sensors} sensors share CAN"
-                )
+                why = f"{sensors} sensors share {line}" if sensors > 1 else f"more do not fit on {line}"
+                self._receiver.tell_once(f"the sensor sends {most_Hz:.0f} poses a second, not {wanted_Hz:.0f}: {why}")

@@ -18,6 +18,6 @@ def open_source(kind: str, where: str, options: Options) -> Source:
     if kind == "log":
         return LogSource(CandumpReader(where))
     opened = open_port if kind == "port" else open_can
-    source = opened(where, listen_only=options.listen_only, reconnect=options.reconnect)
+    source = opened(where, listen_only=options.listen_only, reconnect=options.reconnect, bit_rate=options.bit_rate)
     source.key = options.key
     return source

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from goldfield.link.access import COMMAND_LOCKED, board_of
+from goldfield.link.budget import message_s
 from goldfield.nodes.commissioning import Board
 from goldfield.nodes.conversation import (
     DONE,
@@ -75,7 +76,7 @@ PAGE_BLOCKS = 1024
 FIRST_BLOCK = STATE_BYTES // BLOCK_BYTES
 """The blocks before it hold what became of the image; they are never sent."""
 BLOCK_S = 200e-6
-"""Time from one block to the next, s: a board programs both of its words in 0.2 ms at most."""
+"""Least time from one block to the next, s: a board programs both of its words in 0.2 ms at most."""
 BURST = 32
 """Blocks that are sent together: 7 ms of waiting are as fine as a computer's clock allows, and half of what fits the
 buffer of a board's serial port."""
@@ -84,8 +85,8 @@ ERASED_S = 15.0
 WAITED_S = 3.0
 """How long one board is waited for before those that are ready are told that it goes on, s: they wait 10 s for that."""
 ANSWER_S, CHECKED_S, STARTED_S, CONFIRMED_S = 0.5, 2.0, 20.0, 15.0
-"""Longest times for the answer to a short command, the check of a whole image, a new image's first answer, and its
-confirmation, s."""
+"""Longest times for the answer to a short command, beside what all of them take on the link, the check of a whole
+image, a new image's first answer, and its confirmation, s."""
 PATIENCE = 12
 """Rounds without any progress after which a board that misses blocks is given up."""
 POLL_S = 0.25
@@ -251,7 +252,8 @@ class Updater:
                         "UPDATE_DATA", {"first": first, "second": second}, node=node, index=block % PAGE_BLOCKS
                     )
                     self._conversation.send(*request)
-            self._conversation.wait(_nothing, len(part) * BLOCK_S)
+            sent_s = len(nodes) * message_s(self._conversation.line, "UPDATE_DATA")
+            self._conversation.wait(_nothing, len(part) * max(BLOCK_S, sent_s))
 
     def _await_confirmation(self, boards: Sequence[Board], image: Image) -> None:
         """Wait until boards run the image and have confirmed it; each command that they hear lets them do so."""
@@ -313,6 +315,8 @@ class Updater:
                     found.setdefault(by_number[message.node], (status, value))
             return len(found) == len(by_number)
 
+        line = self._conversation.line
+        both_s = message_s(line, "COMMAND") + message_s(line, "COMMAND_ANSWER")
         for attempt in range(max(1, tries)):
             if tries == 0:
                 pass  # It was asked before.
@@ -323,8 +327,8 @@ class Updater:
                     if board not in found:
                         self._command(board.number, board_of(board.unique_id), command, argument)
                         if board.number in _last_of_each_window(boards):
-                            self._conversation.wait(take, ANSWER_S / WINDOW)
-            if len(found) == len(boards) or self._conversation.wait(take, seconds):
+                            self._conversation.wait(take, max(ANSWER_S / WINDOW, WINDOW * both_s))
+            if len(found) == len(boards) or self._conversation.wait(take, seconds + len(boards) * both_s):
                 break
         locked = [board for board, (status, _) in found.items() if status == COMMAND_LOCKED]
         if locked and unlocks:

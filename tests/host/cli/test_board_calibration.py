@@ -42,7 +42,7 @@ class Board:
 def board_of(monkeypatch):
     def made(ends):
         board = Board(ends)
-        monkeypatch.setattr(board_calibration.opening, "open_link", lambda kind, where: None)
+        monkeypatch.setattr(board_calibration.opening, "open_link", lambda *_: None)
         monkeypatch.setattr(board_calibration, "Tap", lambda link, key: Closable())
         monkeypatch.setattr(board_calibration, "Conversation", lambda tap: board)
         return board

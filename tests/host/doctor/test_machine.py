@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import os
-import select
 import stat
-import termios
-import threading
-import tty
+from itertools import islice
 
 import pytest
 
@@ -15,70 +12,14 @@ from goldfield import site as sites
 from goldfield.doctor import machine
 from goldfield.doctor.checks import Fault, State
 from goldfield.doctor.examination import Examination
+from goldfield.link.line import RATES, Line, Link
 from goldfield.nodes import conversation as conversations
-from goldfield_protocol import encode_frame
-from tests.host.fake_sensor import SITE, heartbeat
-
-RATES = {termios.B115200: 115_200, termios.B921600: 921_600, termios.B1000000: 1_000_000, termios.B2000000: 2_000_000}
+from tests.host.fake_sensor import NODE, SITE
+from tests.host.uart import Uart
 
 
-def received(data, sent_baud, heard_baud):
-    """What a UART hears at its own rate of bytes at another: the line's level in the middle of each of its bits."""
-    line = [level for byte in data for level in (0, *((byte >> bit) & 1 for bit in range(8)), 1)] + [1] * int(
-        10 * max(1.0, sent_baud / heard_baud) + 1
-    )
-    step, place, heard = sent_baud / heard_baud, 0.0, bytearray()
-    while place < len(line) - 10 * step:
-        if line[int(place)]:
-            place += step / 16.0
-            continue
-        bits = [line[int(place + (bit + 1.5) * step)] for bit in range(8)]
-        heard.append(sum(level << bit for bit, level in enumerate(bits)))
-        place += 9.5 * step
-    return bytes(heard)
-
-
-def test_the_line_at_its_own_rate_is_heard_as_it_is():
-    data = bytes(range(1, 200))
-    assert received(data, 2_000_000, 2_000_000) == data
-    assert received(data, 115_200, 2_000_000) != data
-
-
-class Uart:
-    """A board behind an adapter that sends heartbeats at a rate of its own, whatever the port is set to.
-
-    It knows the port's rate by the pseudo-terminal's settings, as an adapter does.
-    """
-
-    def __init__(self, baud):
-        self._baud = baud
-        self._master, self._slave = os.openpty()
-        tty.setraw(self._slave)
-        os.set_blocking(self._master, False)
-        self.path = os.ttyname(self._slave)
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._send, daemon=True)
-
-    def __enter__(self):
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_):
-        self._stop.set()
-        self._thread.join()
-        os.close(self._master)
-        os.close(self._slave)
-
-    def _send(self):
-        frame = b"\0" + encode_frame(*heartbeat()) * 3
-        while not self._stop.wait(0.01):
-            baud = RATES.get(termios.tcgetattr(self._slave)[5], 9600)
-            if select.select([], [self._master], [], 0.0)[1]:
-                os.write(self._master, received(frame, self._baud, baud)[:200])
-
-
-def fault_of(path, kind="port"):
-    checks = list(Examination(kind, path, sites.load(SITE)).checks())
+def fault_of(path, kind="port", bit_rate=None):
+    checks = list(Examination(kind, path, sites.load(SITE), bit_rate=bit_rate).checks())
     (check,) = (check for check in checks if check.fault is not None)
     assert check.advice
     return check
@@ -91,14 +32,25 @@ def impatient(monkeypatch):
     monkeypatch.setattr(conversations.Conversation.listen, "__defaults__", (0.5, 0.5))
 
 
-@pytest.mark.parametrize("baud", machine.OTHER_RATES[:2])
-def test_a_wrong_baud_rate_is_named(baud, impatient, monkeypatch):
-    monkeypatch.setattr(machine, "BYTES_S", 10.0)
+@pytest.mark.parametrize("baud", RATES[Link.SERIAL])
+def test_a_board_at_any_of_its_rates_is_found_and_is_no_fault(baud, monkeypatch):
     with Uart(baud) as board:
-        check = fault_of(board.path)
+        checks = list(islice(Examination("port", board.path, sites.load(SITE)).checks(), 2))
+    assert [check.state for check in checks] == [State.SOUND] * 2
+    assert checks[1].text == f"node {NODE} at {board.path}, {Line(Link.SERIAL, baud)}"
+
+
+@pytest.mark.parametrize("baud", [115_200, 1_000_000])
+def test_a_wrong_baud_rate_is_named(baud, impatient, monkeypatch):
+    """That of an adapter, or that of a board for which another one was given."""
+    monkeypatch.setattr(machine, "BYTES_S", 10.0)
+    ours = baud in RATES[Link.SERIAL]
+    with Uart(baud) as board:
+        check = fault_of(board.path, bit_rate=2_000_000 if ours else None)
     assert check.fault is Fault.BAUD
     assert f"are right at {baud} baud" in check.text
-    assert "2000000 baud" in check.advice
+    assert (f"--bit-rate {baud}" in check.advice) is ours
+    assert ("2000000, 921600, 460800 or 115200 baud" in check.text) is not ours
 
 
 def test_a_line_that_is_right_at_no_rate_is_no_sensors(impatient, monkeypatch):
@@ -107,7 +59,20 @@ def test_a_line_that_is_right_at_no_rate_is_no_sensors(impatient, monkeypatch):
     with Uart(3_000_000) as board:
         check = fault_of(board.path)
     assert check.fault is Fault.BAUD
-    assert "at any other rate" in check.text
+    assert "right at any rate" in check.text
+
+
+@pytest.mark.parametrize("where", ["socketcan:can7", "slcan:/dev/ttyACM0"])
+def test_a_bus_at_another_rate_shows_errors_only(where):
+    """No frame tells the rate: the rates that there are, and how to set one, are told."""
+    line = Line(Link.CAN, 500_000)
+    silent, corrupt = (machine.silence("can", where, line, bad) for bad in (0, 1))
+    assert "no board is heard" in silent.text
+    assert corrupt.text == "1 frame or bit was corrupt and no frame was right on CAN at 500 kbit/s"
+    for check in (silent, corrupt):
+        assert "1000000, 500000, 250000 or 125000 bit/s" in check.advice
+        assert ("ip link set can7 up type can bitrate" in check.advice) is where.startswith("socketcan")
+        assert ("--bit-rate" in check.advice) is where.startswith("slcan")
 
 
 def test_a_silent_port(impatient):

@@ -11,6 +11,7 @@ from goldfield import site as sites
 from goldfield.errors import SystemFailure
 from goldfield.link.blocks import BlockAssembler
 from goldfield.link.chip_blocks import ChipBlockAssembler
+from goldfield.link.line import FASTEST, Line, Link
 from goldfield.sensor.session import Session
 from goldfield.types import Block
 from goldfield_protocol import encode
@@ -21,6 +22,7 @@ from tests.host.virtual_link import VirtualLink, told_by
 BLOCKS, STREAM = PARAMETERS["blocks"].first, PARAMETERS["stream"].first
 POSE_BLOCKS = PARAMETERS["pose_blocks"].first
 SERIAL, CAN = 1, 2
+LINES = {SERIAL: FASTEST[Link.SERIAL], CAN: FASTEST[Link.CAN]}
 ROOM = sites.load(SITE)
 CALIBRATION = {PARAMETERS[f"zero_{axis}"].first: 2040.0 + i for i, axis in enumerate("xyz")} | {
     PARAMETERS["calibration"].identifier(i): float(value) for i, value in enumerate((1e-7 * np.eye(3)).ravel())
@@ -37,9 +39,9 @@ def room(beacons):
 
 @pytest.fixture
 def started(monkeypatch):
-    def make(beacons, link_bit, *, blocks=True, before=None, others=(), poses=0):
+    def make(beacons, link_bit, *, blocks=True, before=None, others=(), poses=0, bit_rate=None):
         link = VirtualLink({28: 10, BLOCKS: 0, STREAM: 0, POSE_BLOCKS: 0, **CALIBRATION, **(before or {})})
-        link.link_bit = link_bit
+        link.line = LINES[link_bit] if bit_rate is None else Line(LINES[link_bit].link, bit_rate)
         told_by(link, monkeypatch)
         for other in others:
             link.deliver(other)
@@ -80,6 +82,37 @@ def test_the_sensor_is_asked_for_what_the_link_carries(started, capsys, beacons,
     assert (link.parameters[BLOCKS], link.parameters[STREAM]) == (0, 0)
 
 
+@pytest.mark.parametrize(
+    ("link_bit", "bit_rate", "blocks", "said"),
+    [
+        (CAN, 500_000, CAN, "sums of 8 codes 248 times a second, not 330, at most 75 % of CAN at 500 kbit/s"),
+        (CAN, 125_000, CAN, "sums of 8 codes 53 times a second, not 330, at most 75 % of CAN at 125 kbit/s"),
+        (SERIAL, 921_600, SERIAL, ""),
+        (SERIAL, 115_200, 0, "whole cycles, 10 a second: sums of 8 codes"),
+    ],
+)
+def test_a_slower_link_carries_less_and_it_is_said(started, capsys, link_bit, bit_rate, blocks, said):
+    link, session = started(8, link_bit, bit_rate=bit_rate)
+    assert (link.parameters[BLOCKS], link.parameters[STREAM]) == (blocks, 0)
+    assert isinstance(session.blocks, BlockAssembler)
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("late", [115_200, 2_000_000])
+def test_the_rate_counts_that_is_known_when_the_sensor_is_found(monkeypatch, late):
+    """That of a serial line is found by its frames: what was chosen before, for another one, is not asked for."""
+    link = VirtualLink({28: 10, BLOCKS: 0, STREAM: 0, **CALIBRATION})
+    told_by(link, monkeypatch)
+    link.deliver(heartbeat())
+    link.line = Line(Link.SERIAL, 2_000_000 if late < 2_000_000 else 115_200)
+    session = Session(link, "virtual", room(33), NODE, blocks=True)
+    before = session.block_parameters
+    link.line = Line(Link.SERIAL, late)
+    session.start(before)
+    assert link.parameters[STREAM] == (late == 2_000_000)
+    assert isinstance(session.blocks, ChipBlockAssembler) is (late == 2_000_000)
+
+
 def motion(node, name="BLOCK", index=62):
     """What another sensor on the bus sends of its motion."""
     return encode(
@@ -114,7 +147,16 @@ def test_no_blocks_are_asked_of_a_bus_that_would_carry_too_few(started, capsys):
 def test_fewer_poses_of_a_sensor_that_shares_the_bus_are_said(started, capsys, others, every, said):
     link, _ = started(8, CAN, blocks=False, others=[motion(20 + i) for i in range(others)], poses=every)
     assert link.parameters[POSE_BLOCKS] == every
-    assert ("the sensor sends 255 poses a second, not 330: 4 sensors share CAN" in capsys.readouterr().err) is said
+    told = "the sensor sends 255 poses a second, not 330: 4 sensors share CAN at 1 Mbit/s"
+    assert (told in capsys.readouterr().err) is said
+
+
+@pytest.mark.parametrize(("link_bit", "bit_rate", "said"), [(SERIAL, 921_600, False), (SERIAL, 115_200, True)])
+def test_fewer_poses_on_a_slow_link_are_said(started, capsys, link_bit, bit_rate, said):
+    link, _ = started(8, link_bit, blocks=False, poses=1, bit_rate=bit_rate)
+    assert link.parameters[POSE_BLOCKS] == 1
+    told = capsys.readouterr().err
+    assert ("poses a second, not 330: more do not fit on serial at 115,200 baud" in told) is said
 
 
 def test_a_sensor_that_streamed_before_goes_on(started):

@@ -15,15 +15,16 @@ import can
 
 from goldfield.cli import main
 from goldfield.link.buses import BusSource
+from goldfield.link.line import FASTEST, Line, Link
 from goldfield.nodes import conversation as conversations
 from goldfield.nodes import opening
 from goldfield_protocol import FrameDecoder, decode, encode_frame
-from goldfield_protocol.rates import CAN_RATES
 from tests.firmware.core.boot.slots import Choice, Node, PowerLost
 from tests.firmware.host_rig import MS, SECOND, SENSOR, Board
 from tests.firmware.services.updated_board import UpdatedBoard
 
 FRAME_BITS = 160
+"""Bits of the longest frame of CAN, with the pause behind it, and of serial."""
 STEP = 5 * MS
 Filter = Callable[[str, int, int], bool]
 """It tells, by a message's name, its index and a board's place, whether the board hears it."""
@@ -89,6 +90,7 @@ class VirtualLink(BusSource):
     """
 
     traffic = {}  # noqa: RUF012 - nothing is counted
+    line = FASTEST[Link.CAN]
     step = STEP
 
     def __init__(self) -> None:
@@ -124,11 +126,13 @@ class BoardsLink(VirtualLink):
         The first board's serial line in place of the bus.
     hears : callable, optional
         Which messages reach which board.
-    can_bit_s : int
-        The bus's bit rate, which the boards have as well.
+    bit_rate : int, optional
+        The link's, if it is not the fastest.
 
     Attributes
     ----------
+    latest : int
+        How long what the host sends has waited for the link at most.
     foreign : bool
         Whether heartbeats tell another protocol.
     gone : set of int
@@ -143,11 +147,13 @@ class BoardsLink(VirtualLink):
         *,
         serial: bool = False,
         hears: Filter = lambda *_: True,
-        can_bit_s: int = CAN_RATES[0],
+        bit_rate: int | None = None,
     ) -> None:
         super().__init__()
-        self._frame = FRAME_BITS * SECOND // can_bit_s
-        self.name, self.shared, self.link_bit = "bench", not serial, 1 if serial else 2
+        fastest = FASTEST[Link.SERIAL if serial else Link.CAN]
+        self.name, self.shared, self.line = "bench", not serial, Line(fastest.link, bit_rate or fastest.bit_rate)
+        self.frame = FRAME_BITS * SECOND // self.line.bit_rate
+        self.latest = 0
         self.seats, self.serial, self.hears = list(seats), serial, hears
         self.bus = 0
         self.sent: list[str] = []
@@ -164,7 +170,8 @@ class BoardsLink(VirtualLink):
         if self.interrupt_at is not None and self.sent.count("UPDATE_DATA") >= self.interrupt_at:
             self.interrupt_at = None
             raise KeyboardInterrupt
-        self.bus = max(self.bus, self.now) + self._frame
+        self.bus = max(self.bus, self.now) + self.frame
+        self.latest = max(self.latest, self.bus - self.now)
         for seat in self.seats:
             if seat.place not in self.gone and self.hears(message.name, message.index, seat.place):
                 time = seat.local(self.bus)
@@ -217,5 +224,5 @@ def run(monkeypatch, link: BusSource, *words: str, into: TextIO | None = None) -
     monkeypatch.setattr(conversations, "time", link)
     out, told = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(into or out), contextlib.redirect_stderr(told):
-        code = main([*words, *(("--port", "/dev/x") if link.link_bit == 1 else ("--can", "socketcan:can0"))])
+        code = main([*words, *(("--port", "/dev/x") if link.line.link is Link.SERIAL else ("--can", "socketcan:can0"))])
     return code, out.getvalue(), told.getvalue()

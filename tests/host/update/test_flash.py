@@ -32,6 +32,22 @@ def test_a_board_takes_an_image_and_confirms_it(bench, update_file, monkeypatch,
     assert "sensor 1.0.1 for slot B, 1 board" in told
 
 
+@pytest.mark.parametrize(
+    ("serial", "bit_rate"),
+    [(False, 1_000_000), (False, 500_000), (False, 125_000), (True, 2_000_000), (True, 460_800), (True, 115_200)],
+)
+def test_the_blocks_go_no_faster_than_the_link(bench, update_file, monkeypatch, serial, bit_rate):
+    """No more than a burst of blocks and what belongs to a command ever waits for the link, in three pages."""
+    monkeypatch.setattr(slots, "WORDS", 4500)
+    random = np.random.default_rng(5)
+    image = replace(NEW, code=(0x20002000, 0x08020201, *(int(one) for one in random.integers(0, 1 << 32, 4300))))
+    link = bench(1 if serial else 2, serial=serial, bit_rate=bit_rate)
+    code, out, told = run(monkeypatch, link, "flash", update_file(image), "--all")
+    assert (code, out.count("confirmed")) == (0, len(link.seats)), told
+    assert link.latest <= 40 * link.frame
+    assert link.sent.count("UPDATE_DATA") < 1.1 * len(slot_bytes(image, 0)) // 8
+
+
 @pytest.mark.parametrize("rate", [1, 3])
 def test_boards_on_a_slower_bus_take_an_image_at_once(core, update_file, monkeypatch, rate):
     def make(number, unique):
@@ -44,7 +60,7 @@ def test_boards_on_a_slower_bus_take_an_image_at_once(core, update_file, monkeyp
         node = Node(core, seed=place + 1)
         node.confirmed(OLD, place, 7)
         seats.append(Seat(node, 9 + place, place, make))
-    link = BoardsLink(seats, can_bit_s=CAN_RATES[rate])
+    link = BoardsLink(seats, bit_rate=CAN_RATES[rate])
     code, out, told = run(monkeypatch, link, "flash", update_file(), "--all")
     assert code == 0, told
     assert out.count("confirmed") == 2

@@ -6,6 +6,7 @@ import pytest
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 
 from goldfield.cli import main
+from goldfield.link.line import FASTEST, Link
 from goldfield_protocol import FrameDecoder, encode_frame
 from goldfield_protocol.image import MARK
 from goldfield_protocol.parameters import build_page
@@ -23,19 +24,19 @@ FRAME = 100 * US
 class ChipLink(VirtualLink):
     """The serial line of an emulated board."""
 
-    shared, link_bit, name = False, 1, "chip"
+    shared, line, name = False, FASTEST[Link.SERIAL], "chip"
 
     def __init__(self, cells: bytes) -> None:
         super().__init__()
         self.board = Board(SENSOR, {"node": 9}, emulated=True, cells=cells)
-        self.line = self.blocks = 0
+        self.busy = self.blocks = 0
         self._decoder, self._taken = FrameDecoder(), 0
         self._advance(300 * MS)
 
     def send(self, identifier: int, data: bytes) -> None:
-        self.line = max(self.line, self.now)
-        self.board.receive(encode_frame(identifier, data), self.line)
-        self.line += FRAME
+        self.busy = max(self.busy, self.now)
+        self.board.receive(encode_frame(identifier, data), self.busy)
+        self.busy += FRAME
 
     def _advance(self, until: int) -> None:
         self.board.run(until)

@@ -26,7 +26,7 @@ class ChipsLink(VirtualLink):
     A frame of a board is through at the end of a step, one of the host within its turn.
     """
 
-    shared, link_bit, name, step = True, 2, "chips", 2 * MS
+    shared, name, step = True, "chips", 2 * MS
 
     def __init__(self, keys: dict[int, object]) -> None:
         super().__init__()
