@@ -8,10 +8,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from goldfield.cli import identification, node_boards, node_key
+from goldfield.cli import identification, node_bit_rate, node_boards, node_key
 from goldfield.cli.output import json_line, number
 from goldfield.errors import SystemFailure, UserError, counted
 from goldfield.link.heartbeat import ROLES
+from goldfield.link.line import PARAMETER, Link
 from goldfield.link.requests import Value
 from goldfield.nodes.commissioning import Board, await_restarts, boards_of
 from goldfield.nodes.conversation import CLEAR, DONE_RESTARTS, HEARD_S, RESET, SAVE, Conversation
@@ -256,6 +257,8 @@ def set_values(conversation: Conversation, arguments: argparse.Namespace, asked:
     print(f"{name} = {shown(parameter, elements, told)}, was {shown(parameter, elements, old)}")
     if parameter.at_start:
         print(f"it acts only if it is saved, as the board reads it at its start: goldfield nodes save {arguments.node}")
+        if parameter.name == PARAMETER[Link.CAN]:
+            print("all boards of a bus need one rate: goldfield nodes bit-rate brings them there together")
     else:
         print(f"it holds until the board's next reset: to keep it, goldfield nodes save {arguments.node}")
     known = conversation.roster.nodes.get(arguments.node)
@@ -332,6 +335,7 @@ ACTIONS: dict[str | None, Callable[[Conversation, argparse.Namespace, Asked], No
     "stop": node_boards.start_or_stop,
     "clone": node_boards.copy,
     "key": node_key.act,
+    "bit-rate": node_bit_rate.act,
     "reset": reset,
     "clear": clear_cause,
     "save": save,

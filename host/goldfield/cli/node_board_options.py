@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
+from goldfield.cli import options
+
 
 def add(actions: Any) -> list[argparse.ArgumentParser]:
     """Add the actions, and return their parsers."""
@@ -49,9 +51,16 @@ def add(actions: Any) -> list[argparse.ArgumentParser]:
     name.add_argument("text", metavar="TEXT", help="up to 16 characters of ASCII")
     for action in (number, name):
         action.add_argument("--id", dest="unique_id", metavar="ID", help="unique id, as goldfield nodes tells it")
-    for action in (number, assign, name, copy):
+    rate = actions.add_parser(
+        "bit-rate",
+        help="bring all boards to another bit rate",
+        description="Brings all boards of a bus, or the one at a serial port, to another bit rate: they save it and "
+        "are reset. If one of them does not take it, none does.",
+    )
+    rate.add_argument("rate", metavar="RATE", type=options.bit_rate, help="bits a second, as 500000")
+    for action in (number, assign, name, copy, rate):
         action.add_argument("--pause", action="store_true", help="let boards switch their coils off while they save")
-    return [*_add_key(actions), boards, number, assign, name, start, stop, copy]
+    return [*_add_key(actions), boards, number, assign, name, start, stop, copy, rate]
 
 
 def _add_key(actions: Any) -> list[argparse.ArgumentParser]:

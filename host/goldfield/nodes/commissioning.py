@@ -49,11 +49,13 @@ OWN = (
     "calibration",
     "code",
     "slot",
+    "can_rate",
+    "serial_rate",
 )
 """Parameters that are not copied from one board to another: number and name are the board's own, its key is told to
 nobody; a copy is never armed,
 and is no second sync master; zero and calibration are those of its converters; and of two boards with one code, or one
-slot, none could be told from the other."""
+slot, none could be told from the other; bit rates are those of a board's own links."""
 
 
 @dataclass(frozen=True)
