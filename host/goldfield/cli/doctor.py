@@ -35,7 +35,10 @@ def run(arguments: argparse.Namespace) -> int:
 
     from goldfield.cli.output import json_line
     from goldfield.doctor.examination import Examination
+    from goldfield.link.line import Link, checked_rate
 
+    if arguments.bit_rate is not None:  # bad usage is no finding
+        checked_rate(Link.CAN if kind == "can" else Link.SERIAL, arguments.bit_rate)
     faults = 0
     examination = Examination(kind, where, site, arguments.node, link_options.key(arguments), arguments.bit_rate)
     for check in examination.checks():
