@@ -134,7 +134,6 @@ class Session:
         self._streamed_before: int | float = 1
         self._was_locked = False
         self.strongest = strongest or 0
-        self._chooses = strongest
         self._codes = None if strongest is not None and not on_sensor else site.codes
         self._asked = node is not None
         self._channel = channel
@@ -234,8 +233,9 @@ class Session:
         self.find()
         self.dialogue.check_degree(self._site.degree)
         self._parameters = dict(parameters or {})
-        if self._chooses is not None:
-            self._parameters[STRONGEST] = self._chooses
+        chooses = self._sharing.fitting()
+        if chooses is not None:
+            self._parameters[STRONGEST] = chooses
         self._sharing.take(self._sharing.moving, self._node, self._parameters)
         if self.choice is not None:
             for parameter in (BLOCKS, STREAM):  # the link is slower, or fuller, than was known when they were chosen

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from goldfield.errors import option
 from goldfield.link.blocks import BLOCK_CHIPS
-from goldfield.link.budget import Carrier, Choice, choose, cycles_of_strongest, pose_rate_Hz
+from goldfield.link.budget import SHARE, Carrier, Choice, choose, cycles_of_strongest, most_reported, pose_rate_Hz
 from goldfield.link.buses import BusSource
 from goldfield.sensor.dialogue import Parameters
 from goldfield.sensor.receiver import Receiver
@@ -55,6 +56,24 @@ class Sharing:
         if self._strongest is not None:
             return cycles_of_strongest(self._bus.line, self._strongest, site.chips, self._chip_s)
         return choose(self._bus.line, self._codes, site.chips, self._chip_s, sensors)
+
+    def fitting(self) -> int | None:
+        """Return how many codes a sensor that chooses them is to choose; None for one that reports the site's.
+
+        They are fewer than were asked for if no more fit the link, which is told.
+        """
+        if self._bus is None:
+            return self._strongest
+        line, site = self._bus.line, self._site
+        most = most_reported(line, self._codes, site.chips, self._chip_s)
+        if most == self._codes:
+            return self._strongest
+        told = f"{self._codes} codes a cycle do not fit into {SHARE[line.link]:.0%} of {line}".replace("%", " %")
+        if self._strongest is None:
+            self._receiver.tell_once(f"{told}: let the sensor choose, with {option('strongest', most)}")
+            return None
+        self._receiver.tell_once(f"the sensor reports {most} of the strongest codes: {told}")
+        return most
 
     def take(self, moving: set[int], node: int | None, parameters: Parameters) -> None:
         """Take note of who tells of its motion.

@@ -113,6 +113,29 @@ def test_the_rate_counts_that_is_known_when_the_sensor_is_found(monkeypatch, lat
     assert isinstance(session.blocks, ChipBlockAssembler) is (late == 2_000_000)
 
 
+@pytest.mark.parametrize(
+    ("bit_rate", "beacons", "strongest", "reported"),
+    [
+        (125_000, 55, None, None),
+        (125_000, 56, None, None),
+        (125_000, 8, 55, 55),
+        (125_000, 8, 56, 55),
+        (250_000, 8, 64, 64),
+    ],
+)
+def test_no_more_codes_than_fit_are_asked_for(monkeypatch, capsys, bit_rate, beacons, strongest, reported):
+    chooses = PARAMETERS["strongest"].first
+    link = VirtualLink({28: 10, chooses: 0})
+    link.line = Line(Link.CAN, bit_rate)
+    told_by(link, monkeypatch)
+    link.deliver(heartbeat())
+    Session(link, "virtual", room(beacons), NODE, strongest=strongest).start()
+    assert link.parameters[chooses] == (reported or 0)
+    told = capsys.readouterr().err
+    assert ("56 codes a cycle do not fit into 75 % of CAN at 125 kbit/s" in told) is (56 in (beacons, strongest))
+    assert ("strongest=55" in told) is (beacons == 56)
+
+
 def motion(node, name="BLOCK", index=62):
     """What another sensor on the bus sends of its motion."""
     return encode(
