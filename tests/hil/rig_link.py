@@ -80,6 +80,10 @@ class RigSerialLink(RigLink):
 
     line = FASTEST[Link.SERIAL]
 
+    def set_bit_rate(self, bit_rate):
+        """The rig hears a line at any rate; what it sends has that of the scenario."""
+        self.line = Line(Link.SERIAL, bit_rate)
+
     def __init__(self, rig, board=0):
         self._decoder = FrameDecoder()
         self._board = board
