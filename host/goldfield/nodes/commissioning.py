@@ -26,7 +26,9 @@ from goldfield.nodes.conversation import (
     TRIES,
     Conversation,
 )
+from goldfield.nodes.last_reset import NAME as RESET_REPORT
 from goldfield.nodes.names import NAME_IDS, name_of
+from goldfield_protocol.messages import Message
 from goldfield_protocol.parameters import PARAMETERS
 
 RESTART_S = 5.0
@@ -253,13 +255,23 @@ def save_all(conversation: Conversation, boards: Mapping[int, str], *, pause: bo
 
 
 def await_restarts(conversation: Conversation, before: Mapping[int, int], what: str) -> None:
-    """Wait until nodes have restarted once more than so often; `SystemFailure` names one that has not."""
-    nodes = conversation.roster.nodes
+    """Wait until nodes have restarted once more than so often; `SystemFailure` names one that has not.
+
+    The first heartbeat is lost on a serial line where the restart tore a frame: the report on the reset tells it, too.
+    """
+    nodes, reported = conversation.roster.nodes, set[int]()
 
     def silent() -> list[int]:
-        return [n for n, restarts in before.items() if n not in nodes or nodes[n].restarts <= restarts]
+        return [
+            n for n, count in before.items() if n not in reported and (n not in nodes or nodes[n].restarts <= count)
+        ]
 
-    if silent() and not conversation.wait(lambda _: not silent(), RESTART_S):
+    def take(message: Message) -> bool:
+        if (message.name, message.index) == (RESET_REPORT, 0):
+            reported.add(message.node)
+        return not silent()
+
+    if silent() and not conversation.wait(take, RESTART_S):
         raise SystemFailure(
             f"{conversation.name}: node {silent()[0]} {what}, and was not heard since: power it off and on"
         )
