@@ -168,12 +168,28 @@ class BusSource:
                 raise SystemFailure(_sentence(self.name, error)) from error
 
     def set_bit_rate(self, bit_rate: int) -> None:
-        """Close the link, and open it at another rate; `UserError` if that is not for this program to set."""
+        """Close the link, and open it at another rate.
+
+        Raises
+        ------
+        UserError
+            If the rate is not for this program to set; the link is then open as it was.
+        SystemFailure
+            If the link is gone.
+        """
         if self._opens is None:
             raise UserError(f"{self.name}: its bit rate cannot be set: open it again")
+        before = self.line.bit_rate
         self.close()
         self._queue, self._taken, self._stop = queue.SimpleQueue(), deque(), threading.Event()
-        bus = self._opens(bit_rate)
+        try:
+            try:
+                bus = self._opens(bit_rate)
+            except UserError:
+                self._begin(self._opens(before))
+                raise
+        except can.CanError as error:
+            raise SystemFailure(_sentence(self.name, error)) from error
         self._bit_rate = bit_rate
         self._begin(bus)
 

@@ -101,8 +101,8 @@ class Tap(BusSource):
 
     def set_bit_rate(self, bit_rate: int) -> None:
         """Open the link anew at another rate; who was heard before is forgotten."""
+        self.lock()
         self._link.set_bit_rate(bit_rate)
-        self.unlocked.clear()
         self.roster.nodes.clear()
 
     @property

@@ -10,7 +10,7 @@ import tty
 
 import pytest
 
-from goldfield.errors import UserError
+from goldfield.errors import SystemFailure, UserError
 from goldfield.link import can_channel
 from goldfield.link.buses import open_can, open_port
 from goldfield.link.line import RATES, Line, Link, checked_rate
@@ -63,6 +63,14 @@ def test_a_rate_that_is_given_is_taken_and_not_looked_for(baud, capsys):
         assert first(source) == heartbeat()[0]
         assert source.line == Line(Link.SERIAL, baud)
         source.close()
+
+
+def test_a_port_that_is_gone_meanwhile_is_told():
+    with Uart(SERIAL[0]) as board:
+        source = open_port(board.path, bit_rate=SERIAL[0])
+    with pytest.raises(SystemFailure, match=board.path):
+        source.set_bit_rate(SERIAL[3])
+    source.close()
 
 
 @pytest.fixture
@@ -165,6 +173,11 @@ def test_the_rate_of_a_kernels_interface_is_its_own(monkeypatch, given, refused)
     source = open_can("socketcan:can0", bit_rate=given)
     assert source.line == Line(Link.CAN, 250_000)
     assert kernel.opened == [250_000]
+    with pytest.raises(UserError, match="the kernel runs can0 at 250000 bit/s"):
+        source.set_bit_rate(500_000)
+    assert source.line == Line(Link.CAN, 250_000)
+    assert kernel.opened == [250_000] * 2, "it is open as it was"
+    source.send(1, b"")
     source.close()
 
 
