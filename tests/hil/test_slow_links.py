@@ -137,3 +137,18 @@ def test_sensors_choose_as_many_codes_as_fit(bench, line, most):
     assert (f"75 % of {line}" in told or f"90 % of {line}" in told) is (most < 64)
     code, out, _ = one.run("nodes", "get", "100", "strongest", "--json")
     assert json.loads(out)["values"] == [most]
+
+
+@pytest.mark.long
+def test_all_boards_are_found_on_the_slowest_bus_and_on_a_line_beside_it(bench):
+    """A board of a slow bus answers a question to all later, on both of its links."""
+    one = bench(CAN_125)
+    listed = [json.loads(line) for line in one.run("nodes", "boards", "--json")[1].splitlines()]
+    assert [line["node"] for line in listed] == [*range(1, 9), 100]
+    assert all(line["armed"] is not None for line in listed)
+    line = RigSerialLink(one.rig)
+    one.link = line
+    opening.open_link = lambda *_: line
+    conversations.time = line
+    (listed,) = one.run("nodes", "boards", "--json")[1].splitlines()
+    assert json.loads(listed)["node"] == 100
