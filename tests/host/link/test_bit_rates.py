@@ -181,6 +181,16 @@ def test_the_rate_of_a_kernels_interface_is_its_own(monkeypatch, given, refused)
     source.close()
 
 
+@pytest.mark.parametrize(("given", "expected"), [(None, 1_000_000), (250_000, 250_000)])
+def test_an_adapter_is_told_the_rate(monkeypatch, given, expected):
+    kernel = Kernel(monkeypatch, AssertionError("the kernel was asked"))
+    source = open_can("slcan:/dev/ttyACM0", bit_rate=given)
+    source.set_bit_rate(125_000)
+    assert kernel.opened == [expected, 125_000]
+    assert source.line == Line(Link.CAN, 125_000)
+    source.close()
+
+
 @pytest.mark.parametrize(
     "told",
     [
