@@ -78,14 +78,14 @@ def test_boards_on_ports_of_their_own_from_the_box_to_poses(bench, tmp_path, mon
     assert (line["name"], line["armed"]) == ("north wall", True)
 
     link = RigSerialLink(made.rig, SENSOR)
-    monkeypatch.setattr(sessions, "time", link)
-    monkeypatch.setattr(dialogues, "time", link)
-    epochs = Sensor(link, "hall", sites.load(site)).epochs()
-    poses = [next(epochs).pose for _ in range(10)]
+    with monkeypatch.context() as of_session:
+        of_session.setattr(sessions, "time", link)
+        of_session.setattr(dialogues, "time", link)
+        epochs = Sensor(link, "hall", sites.load(site)).epochs()
+        poses = [next(epochs).pose for _ in range(10)]
     assert [pose.status for pose in poses] == 10 * [Status.OK]
     assert max(np.linalg.norm(pose.position_m - SENSOR_M) for pose in poses) < 0.01
 
-    monkeypatch.undo()
     made.lines("nodes", "reset", "24", port=4)
     made.rig.advance(5.0)
     assert made.rig.coil_current_A(4) != pytest.approx(0.0, abs=1.0)  # What was saved holds over a reset.

@@ -140,7 +140,7 @@ def test_sensors_choose_as_many_codes_as_fit(bench, line, most):
 
 
 @pytest.mark.long
-def test_all_boards_are_found_on_the_slowest_bus_and_on_a_line_beside_it(bench):
+def test_all_boards_are_found_on_the_slowest_bus_and_on_a_line_beside_it(bench, monkeypatch):
     """A board of a slow bus answers a question to all later, on both of its links."""
     one = bench(CAN_125)
     listed = [json.loads(line) for line in one.run("nodes", "boards", "--json")[1].splitlines()]
@@ -148,7 +148,7 @@ def test_all_boards_are_found_on_the_slowest_bus_and_on_a_line_beside_it(bench):
     assert all(line["armed"] is not None for line in listed)
     line = RigSerialLink(one.rig)
     one.link = line
-    opening.open_link = lambda *_: line
-    conversations.time = line
+    monkeypatch.setattr(opening, "open_link", lambda *_: line)
+    monkeypatch.setattr(conversations, "time", line)
     (listed,) = one.run("nodes", "boards", "--json")[1].splitlines()
     assert json.loads(listed)["node"] == 100
