@@ -197,10 +197,12 @@ class Change:
     def _give_back(self, numbers: Collection[int]) -> list[int]:
         """Give boards that speak at one rate their old one; return the numbers of those that may have saved another."""
         kept = {number for number in numbers if self._saves.get(number, REFUSED) in (None, DONE, DONE_RESTARTS)}
+        given = set()
         for number in sorted(numbers):
             with suppress(SystemFailure):
                 self._conversation.write({(number, self._parameter): self._before[number]})
-        told = self._command(SAVE, int(self._pause), kept) if kept else {}
+                given.add(number)
+        told = self._command(SAVE, int(self._pause), kept & given) if kept & given else {}
         return [number for number in kept if told.get(number) not in (DONE, DONE_RESTARTS)]
 
     def _end(self, left: Sequence[int]) -> str:

@@ -203,6 +203,22 @@ def test_a_board_that_is_gone_amid_the_save_is_said_to_be_uncertain(monkeypatch)
     assert (bus.boards[0].saved, bus.boards[0].value) == (0, 0)
 
 
+def test_a_board_that_does_not_take_its_old_rate_back_is_said_to_be_uncertain(monkeypatch):
+    """It is not asked to save again, which would only keep the new one."""
+    bus = Bus(Board(1), Board(2, saves=[FLASH_FAILED]))
+    take = bus._take
+
+    def deaf(board, message):
+        if not (board.number == 1 and board.saved and message.name == "PARAM_SET"):
+            take(board, message)
+
+    monkeypatch.setattr(bus, "_take", deaf)
+    code, _, told = changed(monkeypatch, bus, str(NEW))
+    assert code == 3
+    assert "1 node, 1, may speak at 250000 bit/s after the next reset" in told
+    assert [board.value for board in bus.boards] == [2, 0]
+
+
 def test_boards_that_restarted_behind_an_interface_that_is_the_kernels_are_named(monkeypatch):
     bus = Bus(Board(1, erases=True), Board(2, saves=[FLASH_FAILED]), fixed=True)
     code, _, told = changed(monkeypatch, bus, str(NEW))
