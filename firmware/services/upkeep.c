@@ -167,9 +167,9 @@ void upkeep_start(node_t *node, hal_t *hal, hal_role_t role) {
 
     frame_t hello = {.id = node_identifier(node, GOLDFIELD_HEARTBEAT_FRAME_ID, 0)};
     hello.length = pack_heartbeat(node, hello.data);
-    uint8_t encoded[FRAME_ENCODED_MAX];
-    const size_t count = frame_encode(&hello, encoded);
-    hal_serial_write_polled(hal, encoded, count);
+    uint8_t encoded[1 + FRAME_ENCODED_MAX] = {0}; /* The zero ends the frame that a reset has torn. */
+    const size_t count = frame_encode(&hello, encoded + 1);
+    hal_serial_write_polled(hal, encoded, 1 + count);
     (void)queue_push(&node->can, &hello);
     requests_tell_last_reset(node, NODE_BOTH);
     update_start(&node->update, hal);

@@ -16,7 +16,7 @@ def read_command(*source: str, site: Path) -> str:
     Parameters
     ----------
     *source : str
-        The option that names the bench, and its value.
+        The option that names the bench, and its value, and others of the link.
     site : path
         Its site file.
     """

@@ -14,6 +14,7 @@ from typing import Any
 
 from goldfield.errors import UserError, counted
 from goldfield.files.outputs import OutputFile, check_outputs, holds, write_file
+from goldfield_protocol.rates import CAN_RATES, SERIAL_RATES
 from hil_sim import LONGEST_S, NO_CAN
 from hil_sim.links.can_bridge import CanBridge
 from hil_sim.links.port_name import PortName
@@ -205,7 +206,8 @@ def _announce(
     arguments: argparse.Namespace, scenario: Scenario, channel: str, serial: Mapping[int, str], site: Path
 ) -> None:
     anchors = {scenario.beacons[board - 1]: path for board, path in serial.items() if board != SENSOR}
-    reads = read_command("--port", str(Path(serial[SENSOR]).absolute()), site=site)
+    port = str(Path(serial[SENSOR]).absolute())
+    reads = read_command("--port", port, *_rate(scenario.links.serial_baud, SERIAL_RATES), site=site)
     if arguments.json:
         first: dict[str, Any] = {"serial": serial[SENSOR], "can": channel, "scenario": arguments.scenario}
         first |= {"boards": arguments.boards, "read": reads}
@@ -218,7 +220,13 @@ def _announce(
         print(f"serial {path}: anchor {anchor.id}, node {anchor.node}", flush=True)
     print(f"poses: {reads}", flush=True)
     if channel != NO_CAN:
-        print(f"by CAN: {read_command('--can', channel, site=site)}", flush=True)
+        rate = _rate(scenario.links.can_bit_s, CAN_RATES)
+        print(f"by CAN: {read_command('--can', channel, *rate, site=site)}", flush=True)
+
+
+def _rate(bit_rate: int, rates: Sequence[int]) -> tuple[str, ...]:
+    """Return the option that tells a host the rate of a link, which it would else take for the highest one."""
+    return () if bit_rate == rates[0] else ("--bit-rate", str(bit_rate))
 
 
 def _summarise(arguments: argparse.Namespace, rig: Rig, lost: int, bridge: CanBridge | None, pace: Pace) -> None:

@@ -7,7 +7,7 @@ from random import Random
 
 import pytest
 
-from goldfield_protocol import Identifier, Message, encode, encode_frame, protocol_hash
+from goldfield_protocol import FrameDecoder, Identifier, Message, decode, encode, encode_frame, protocol_hash
 from goldfield_protocol.messages import shapes
 from goldfield_protocol.rates import CAN_RATES, SERIAL_RATES
 from tests.firmware.host_rig import (
@@ -63,6 +63,15 @@ def test_nothing_precedes_the_first_heartbeat(board: Board) -> None:
     board.run(100 * MS)
     assert board.messages()[0].name == "HEARTBEAT"
     assert board.can_messages()[0].name == "HEARTBEAT"
+
+
+def test_a_frame_that_the_reset_tore_does_not_take_the_first_heartbeat_with_it(board: Board) -> None:
+    board.run(100 * MS)
+    torn = encode_frame(1 << 24 | 9, bytes(8))[:-5]
+    first = next(FrameDecoder().feed(torn + bytes(byte for _, byte in board.serial)))
+    heartbeat = decode(first.identifier, first.data)
+    assert heartbeat is not None
+    assert heartbeat.name == "HEARTBEAT"
 
 
 @pytest.mark.parametrize(

@@ -328,6 +328,16 @@ def test_the_commands_that_read_it_are_told(tmp_path, monkeypatch, capsys):
     assert words == ["run", "--can", channel, "--site", f"{tmp_path}/a site.toml"]
 
 
+def test_a_host_is_told_the_rates_of_slower_links(tmp_path, monkeypatch, capsys):
+    path = write_scenario(tmp_path)
+    path.write_text(path.read_text() + "\n[links]\ncan_bit_s = 125000\nserial_baud = 115200\n")
+    options = ("--seconds", "0.01", "--link", str(tmp_path / "port"))
+    _, output = run_command(tmp_path, monkeypatch, capsys, *options, scenario=path, can=("--can", "own"))
+    _, poses, by_can, *_ = output.out.splitlines()
+    assert "--bit-rate 115200 " in poses
+    assert "--bit-rate 125000 " in by_can
+
+
 def test_the_program_is_named_so_that_a_shell_finds_it(tmp_path, monkeypatch):
     mine = Path(sys.executable).with_name("goldfield")
     monkeypatch.setenv("PATH", str(tmp_path))
