@@ -183,6 +183,55 @@ def test_a_sequence_number_that_its_complement_belies_is_none(core, bit):
     assert node.boot() == Choice(0, False)
 
 
+def test_an_image_of_version_0_starts_where_none_is_confirmed(core):
+    node = Node(core)
+    node.put(replace(OLD, version=0), 1, sequence=1, pending=MARK)
+    assert node.boot() == Choice(1, True)
+    assert node.state(1) == IS_TRIED
+
+
+def test_a_settled_image_is_confirmed_though_one_bit_of_its_first_mark_reads_otherwise(core):
+    """The second word is programmed behind the first one, so that it alone tells that both were."""
+    for settled, state, choice in ((MARK, IS_CONFIRMED, Choice(0, False)), (MARK | 1, IS_TRIED, Choice(0, True))):
+        node = Node(core)
+        node.put(OLD, 0, sequence=1, pending=MARK, tried=MARK, confirmed=MARK | 1, settled=settled)
+        assert node.state(0) == state
+        assert node.boot() == choice
+
+
+@pytest.mark.parametrize(
+    ("confirmed", "damaged", "starts"), [(MARK, 0, 0), (MARK, 1, 1), (0, 0, 1), (ONES, 0, 1), (0, 1, 1)]
+)
+def test_an_image_is_measured_by_one_that_is_confirmed_and_intact_alone(core, confirmed, damaged, starts):
+    """In the other slot lies a newer image of another role: rejected, tried and never confirmed, or with a wrong bit,
+    it demands nothing."""
+    node = Node(core)
+    node.put(replace(NEW, role=BEACON), 0, sequence=1, pending=MARK, tried=MARK, confirmed=confirmed, settled=confirmed)
+    node.cells.read[0][CODE] ^= damaged
+    node.put(OLD, 1, sequence=2, pending=MARK)
+    assert node.boot() == Choice(starts, starts == 1)
+    assert node.state(1) == (IS_TRIED if starts == 1 else IS_REJECTED)
+
+
+def test_two_images_that_were_tried_are_rejected_in_one_start(core):
+    node = Node(core)
+    node.put(OLD, 0, sequence=1, pending=MARK, tried=MARK)
+    node.put(NEW, 1, sequence=2, pending=MARK, tried=MARK)
+    assert node.boot() == Choice(1, True)
+    assert [node.words(slot)[CONFIRMED : SETTLED + 1] for slot in range(2)] == [[0, 0], [0, 0]]
+
+
+@pytest.mark.parametrize("slot", [0, 1])
+def test_a_number_that_its_complement_belies_puts_no_image_first(core, slot):
+    """Both images are signed and neither is confirmed: the one that has a number is the newest, whatever reads in the
+    other one's place."""
+    node = Node(core)
+    node.put(OLD, slot, sequence=5, confirmed=0, settled=0)
+    node.put(NEW, 1 - slot, sequence=9)
+    node.cells.read[1 - slot][COMPLEMENT] ^= 1
+    assert node.boot() == Choice(slot, True)
+
+
 def test_an_empty_node_starts_nothing(core):
     node = Node(core)
     assert node.boot() is None
