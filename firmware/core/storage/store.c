@@ -78,7 +78,7 @@ static bool is_live(const uint32_t *words) {
 typedef struct {
     uint32_t newest;   /* Index of its newest record, 0: none. */
     uint32_t commit;   /* Index of the commit word of that. */
-    uint32_t dangling; /* The same of what begins like a record behind all good ones, and is not void; 0: none. */
+    uint32_t dangling; /* The same of the last begun record behind all good ones, if it is not void; 0: none. */
     uint32_t behind;   /* Index behind the last word that is not erased, and behind all that heads lay claim to. */
     bool ready;        /* Whether records may be added. */
 } contents_t;
@@ -101,7 +101,7 @@ static contents_t look_through(const store_t *store, uint32_t slot) {
             found.newest = index; /* Records follow each other in a slot. */
             found.commit = end - END_WORDS;
             found.dangling = 0;
-        } else if (end > index && found.dangling == 0u && words[end - 1u] != 0u) {
+        } else if (end > index && words[end - 1u] != 0u) {
             found.dangling = end - END_WORDS;
         }
         /* Power that is lost within a head leaves an erased word behind it. A head with its number is whole, and what
@@ -114,14 +114,12 @@ static contents_t look_through(const store_t *store, uint32_t slot) {
 }
 
 static void find_newest(store_t *store) {
-    store->newest = 0;
-    store->torn = 0;
     for (uint32_t slot = 0; slot < STORE_SLOTS; slot++) {
         const contents_t found = look_through(store, slot);
         store->torn += found.dangling != 0u;
         if (found.newest != 0u) {
             const uint32_t sequence = words_of(store, slot)[found.newest + 1u];
-            if (store->newest == 0u || sequence >= store->sequence) {
+            if (sequence >= store->sequence) {
                 store->newest = found.newest;
                 store->commit = found.commit;
                 store->slot = slot;
@@ -206,7 +204,7 @@ static uint8_t choose(store_t *store) {
         const uint32_t slot = i == 0u ? first : 1u - first;
         const contents_t found = look_through(store, slot);
         const uint32_t from = found.behind > SLOT_HEAD ? found.behind + GAP : SLOT_HEAD;
-        if (found.ready && from < store->flash.words && store->count + RECORD_EXTRA <= store->flash.words - from) {
+        if (found.ready && from + store->count + RECORD_EXTRA <= store->flash.words) {
             store->at = from;
             store->into = slot;
             return PHASE_READY;
@@ -310,11 +308,8 @@ static uint32_t length(const store_t *store) {
     }
 }
 
-/* What follows when a record is void, or the flash does not even take that. */
-static uint8_t after_void(store_t *store, bool taken) {
-    if (store->outcome != STORE_BUSY) {
-        return taken ? next_mend(store) : PHASE_DONE;
-    }
+/* What follows when the flash has not taken a save. */
+static uint8_t save_anew(store_t *store) {
     if (store->attempts < STORE_ATTEMPTS) {
         return PHASE_CHOOSE;
     }
@@ -326,7 +321,7 @@ static uint8_t after_void(store_t *store, bool taken) {
 static uint8_t after_failure(store_t *store) {
     switch (store->phase) {
     case PHASE_VOID:
-        return after_void(store, false);
+        return store->outcome == STORE_BUSY ? save_anew(store) : (uint8_t)PHASE_DONE;
     case PHASE_RENEW:
         return PHASE_DONE;
     case PHASE_RETIRE:
@@ -338,7 +333,7 @@ static uint8_t after_failure(store_t *store) {
         return PHASE_VOID;
     default:
         store->attempts++;
-        return after_void(store, true);
+        return save_anew(store);
     }
 }
 
@@ -349,7 +344,7 @@ static uint8_t after(store_t *store) {
     case PHASE_RENEW:
         return next_mend(store);
     case PHASE_VOID:
-        return after_void(store, true);
+        return store->outcome == STORE_BUSY ? save_anew(store) : next_mend(store);
     case PHASE_CHOOSE:
         return choose(store);
     case PHASE_RETIRE:
