@@ -32,3 +32,15 @@ def test_open_short_and_nonsense(core):
     assert lib.thermistor_degC(0) == 150.0
     assert lib.thermistor_count(float("nan")) == lib.thermistor_count(-300.0) == lib.thermistor_count(-40.0)
     assert lib.thermistor_count(1e9) == lib.thermistor_count(150.0)
+
+
+def test_between_and_beyond_multiples_of_ten_degrees(core):
+    """Every count, and temperatures by quarters of a degree: lines between the rounded counts of the law."""
+    _, lib = core
+    degrees = np.arange(-40.0, 151.0, 10.0)
+    counts = np.round(count_of(degrees))
+    for count in range(4097):
+        expected = np.interp(count, counts[::-1], degrees[::-1])
+        assert lib.thermistor_degC(count) == pytest.approx(expected, abs=1e-4), count
+    for degC in np.arange(-60.0, 180.0, 0.25):
+        assert lib.thermistor_count(degC) == pytest.approx(np.interp(degC, degrees, counts), abs=0.501), degC
