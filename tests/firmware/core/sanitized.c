@@ -11,7 +11,9 @@
 #include "core/codes/strongest.h"
 #include "core/drive/current.h"
 #include "core/drive/waveform.h"
+#include "core/link/challenge.h"
 #include "core/link/frame.h"
+#include "core/link/parameter_set.h"
 #include "core/link/parameters.h"
 #include "core/link/queue.h"
 #include "core/storage/crc32.h"
@@ -175,6 +177,30 @@ static void bytes(void) {
     }
 }
 
+/* Sets of parameters whose end is that of their memory, and challenges. */
+static void sets(void) {
+    static parameters_t parameters;
+    parameters_init(&parameters);
+    uint32_t *const words = malloc(PARAMETER_SET_WORDS * sizeof *words);
+    REQUIRE(parameter_set_write(&parameters, 1u, words) == PARAMETER_SET_WORDS);
+    REQUIRE(parameter_set_holds(&parameters, 1u, words));
+    for (uint32_t i = 0; i < 2000; i++) {
+        const uint32_t count = noise() % 40u;
+        uint32_t *const stored = malloc(count * sizeof *stored + 1u), refused;
+        for (uint32_t j = 0; j < count; j++) {
+            stored[j] = j == 0u ? words[0] : noise() % 3u == 0u ? noise() : noise() & 0x5FFFFu;
+        }
+        (void)parameter_set_read(&parameters, stored, count, &refused);
+        free(stored);
+        (void)parameters_next(noise() & 0xFFFu, noise() % 4u);
+    }
+    free(words);
+    uint8_t *const bytes = malloc(CHALLENGE_KEY_BYTES);
+    memset(bytes, 1, CHALLENGE_KEY_BYTES);
+    REQUIRE(challenge_answer(bytes, bytes + CHALLENGE_KEY_BYTES - CHALLENGE_ID_BYTES, noise()) != 0u);
+    free(bytes);
+}
+
 #define MESSAGES 200000u
 static frame_t storage[16];
 static queue_t queue;
@@ -246,6 +272,7 @@ int main(void) {
     currents();
     waveforms();
     bytes();
+    sets();
     store();
     threads();
     return 0;

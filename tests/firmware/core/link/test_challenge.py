@@ -8,6 +8,7 @@ import json
 import pytest
 
 from hil_sim import clib
+from tests.firmware.core.edge_memory import at_the_edge
 
 VECTORS = json.loads((clib.ROOT / "protocol/vectors/access.json").read_text())["answers"]
 
@@ -29,7 +30,8 @@ def test_the_hash_is_that_of_rfc_4231() -> None:
 
 @pytest.mark.parametrize("vector", VECTORS, ids=lambda one: one["name"])
 def test_answers_are_those_of_the_vectors(vector: dict[str, str]) -> None:
-    _, library = clib.load("libgf_core.so", ["core/link/challenge.h"])
+    ffi, library = clib.load("libgf_core.so", ["core/link/challenge.h"])
     key, unique_id, number, answer = (bytes.fromhex(vector[n]) for n in ("key", "unique_id", "number", "answer"))
+    key, unique_id = (ffi.from_buffer("uint8_t[]", at_the_edge(len(what), what)) for what in (key, unique_id))
     told = library.challenge_answer(key, unique_id, int.from_bytes(number, "little"))
     assert told.to_bytes(8, "little") == answer

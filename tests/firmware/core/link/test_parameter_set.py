@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from goldfield_protocol.parameters import PARAMETERS
+from tests.firmware.core.edge_memory import at_the_edge
 
 MARK, FORMAT = 0x50415200, 1
 VERSION = 0x00010203
@@ -57,7 +58,8 @@ def write(core, table):
 def read(core, table, stored):
     ffi, lib = core
     refused = ffi.new("uint32_t *", 99)
-    return lib.parameter_set_read(table, ffi.new("uint32_t[]", stored), len(stored), refused), refused[0]
+    memory = ffi.from_buffer("uint32_t[]", at_the_edge(4 * len(stored), struct.pack(f"<{len(stored)}I", *stored)))
+    return lib.parameter_set_read(table, memory, len(stored), refused), refused[0]
 
 
 def value(core, table, identifier):

@@ -178,6 +178,13 @@ def test_defaults_are_those_of_the_table(core, parameters):
             assert getting(core, parameters, parameter.identifier(element))[2] == int.from_bytes(default, "little")
 
 
+def test_entries_are_counted_out(core):
+    ffi, lib = core
+    for index, parameter in enumerate(PARAMETERS.values()):
+        assert lib.parameters_entry(index).first_id == parameter.first
+    assert lib.parameters_entry(len(PARAMETERS)) == lib.parameters_entry(2**32 - 1) == ffi.NULL
+
+
 @pytest.mark.parametrize("role", ROLES)
 def test_the_next_parameter_is_one_that_the_role_uses(core, role):
     ffi, lib = core
@@ -207,7 +214,7 @@ def test_typed_readers_and_defaults(core, parameters):
     assert lib.parameters_unsigned(parameters, 28) == 10
     nominal = [200e-6 / 2048 if i % 4 == 0 else 0.0 for i in range(9)]
     assert [lib.parameters_float(parameters, 16 + i) for i in range(9)] == pytest.approx(nominal)
-    assert lib.parameters_unsigned(parameters, 2) == 0
+    assert lib.parameters_unsigned(parameters, 8) == 0
     assert lib.parameters_float(parameters, 0) == 0.0
     assert lib.parameters_unsigned(parameters, 99) == 0
 
@@ -237,6 +244,7 @@ GOOD = page([(0, 0, 7), (1, 0, 12), (2, 2, bits(3.0))])
         (b"\xff" * 1024, 1),
         (b"\0" * 1024, 2),
         (b"", 2),
+        (b"\xff" * 7, 2),
         (GOOD[:7], 2),
         (GOOD[:31], 2),  # Count says more than there is.
         (page([(0, 0, 7)], magic=0x31504648), 2),
@@ -250,6 +258,16 @@ def test_a_bad_page_changes_nothing(core, parameters, stored, result):
     before = bytes(ffi.buffer(parameters))
     assert load(core, parameters, stored) == (result, 0)
     assert bytes(ffi.buffer(parameters)) == before
+
+
+def test_a_page_ends_where_it_is_said_to_end(core, parameters):
+    """The bytes behind it are those that it would need."""
+    ffi, lib = core
+    refused = ffi.new("uint32_t *")
+    for size, result in ((7, 2), (8, 2), (31, 2), (32, 0), (33, 0)):
+        assert lib.parameters_load(parameters, GOOD, size, refused) == result, size
+    for empty, results in ((page([]), (2, 0)), (b"\xff" * 9, (2, 1))):
+        assert tuple(lib.parameters_load(parameters, empty, size, refused) for size in (7, 8)) == results
 
 
 @given(position=st.integers(0, len(GOOD.rstrip(b"\xff")) - 1), flip=st.integers(0, 7))
