@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from math import factorial
+
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from goldfield.field import FieldModel
-from goldfield.locate.fault_statistics import fault_statistics
+from goldfield.locate.fault_statistics import FaultStatistics, fault_statistics
 from goldfield.locate.fit import Measurements, fit_pose
-from goldfield.locate.protection import MISSED_DETECTION, SOUND_RISK, level_of, radius_m
+from goldfield.locate.protection import MISSED_DETECTION, SOUND_RISK, level_of, protection_level, radius_m
 from goldfield.locate.uncertainty import gauss_newton_covariance
 from tests.bench import locate_trials as bench
 
@@ -45,6 +48,53 @@ def test_the_radius_is_exceeded_as_rarely_as_said(variances, mean):
     radius = radius_m(np.array(mean), np.diag(variances), np.array(1e-3))
     assert 6e-4 < (np.linalg.norm(vector, axis=1) > radius).mean() < 1.15e-3
     assert radius_m(2.0 * np.array(mean), 4.0 * np.diag(variances), np.array(1e-3)) == pytest.approx(2.0 * radius)
+
+
+def imhof_radius(mean, covariance, risk):
+    """The quantile of a scaled and shifted chi-square with the cumulants of the squared length, by its main axes."""
+    variance, axes = np.linalg.eigh(covariance)
+    along = (axes.T @ mean) ** 2
+    first, second, third = (
+        2 ** (r - 1) * factorial(r - 1) * (variance ** (r - 1) * (variance + r * along)).sum() for r in (1, 2, 3)
+    )
+    freedom = 8.0 * second**3 / third**2
+    quantile = freedom * (1.0 - 2.0 / (9.0 * freedom) + norm.isf(risk) * np.sqrt(2.0 / (9.0 * freedom))) ** 3
+    return np.sqrt(first + np.sqrt(second / (2.0 * freedom)) * (quantile - freedom))
+
+
+def turned_covariance(rng):
+    """A covariance whose axes are no coordinates."""
+    root = rng.normal(size=(3, 3)) * rng.uniform(0.1, 1.0, 3)
+    return root @ root.T
+
+
+@pytest.mark.parametrize("risk", [1e-7, 1e-3, 0.2])
+def test_the_radius_is_that_of_three_cumulants(risk):
+    rng = np.random.default_rng(73)
+    for _ in range(20):
+        mean, covariance = rng.normal(size=3), turned_covariance(rng)
+        assert radius_m(mean, covariance, np.array(risk)) == pytest.approx(imhof_radius(mean, covariance, risk), 1e-9)
+
+
+@pytest.mark.parametrize("freedom", [(3, 2, 3), (3, 2, 2), (3, 1, 3)])
+def test_the_level_is_the_greatest_radius_of_any_beacon_and_of_noise(freedom):
+    """The second beacon was measured on two axes; what all a beacon measured can show hides nothing."""
+    rng = np.random.default_rng(74)
+    measured = np.ones((2, 3, 3))
+    measured[:, 1, 2] = np.nan
+    hidden = np.array(freedom) < (3, 2, 3)
+    for scale in (0.0, 0.1, 1.0):
+        separation, sound = scale * rng.normal(size=(2, 3, 3)), np.array([turned_covariance(rng) for _ in range(2)])
+        spread = scale * np.array([[turned_covariance(rng) for _ in range(3)] for _ in range(2)])
+        statistics = FaultStatistics(
+            np.zeros((2, 3)), np.tile(freedom, (2, 1)), np.zeros((2, 3)), separation, spread, np.zeros((2, 4)), None
+        )
+        level, beacon = protection_level(Measurements(measured, np.ones((2, 3))), statistics, sound)
+        for e in range(2):
+            of_fault = [imhof_radius(separation[e, i], sound[e] + spread[e, i], 1e-3) for i in range(3)]
+            of_fault = np.where(hidden, np.inf, of_fault)
+            assert level[e] == pytest.approx(max(*of_fault, imhof_radius(np.zeros(3), sound[e], 1e-7)), 1e-9)
+            assert beacon[e] == of_fault.argmax()
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3, 4])
