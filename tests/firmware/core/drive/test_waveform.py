@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from goldfield.access.waveform import code_template, slot_template, tone_template
 from goldfield.site.drive import Code
+from tests.firmware.core.edge_memory import at_the_edge
 
 CODE, SLOT, TONE, ROTATING, SUPERPOSED = range(5)
 DEGREES = (5, 6, 7, 9, 10, 11)
@@ -20,13 +21,14 @@ CODES_1023 = {  # Holds that fit a cycle of 1023 = 3 * 11 * 31 chips.
 def levels(core, degree, kind, code=0, slots=1, slot=0, periods=1, codes=()):
     """Two cycles of a waveform as levels, shape (N, 2), or None if it is refused."""
     ffi, lib = core
-    config = ffi.new("waveform_config_t *", [kind, code, slots, slot, periods, [list(c) for c in codes]])
+    config = ffi.from_buffer("waveform_config_t *", at_the_edge(ffi.sizeof("waveform_config_t")))
+    config[0] = [kind, code, slots, slot, periods, [list(c) for c in codes]]
     made = ffi.new("waveform_t *")
     if not lib.waveform_start(made, degree, config):
         assert bytes(ffi.buffer(made)) == bytes(ffi.sizeof(made[0]))  # untouched
         return None
     assert lib.waveform_channels(kind) == (2 if kind == ROTATING else 1)
-    level = ffi.new("int16_t[2]")
+    level = ffi.new("int16_t[2]", [77, 77])
     chips = []
     for _ in range(2 * (2**degree - 1)):
         lib.waveform_next(made, level)
@@ -76,6 +78,15 @@ def test_rotating(core, data, degree):
     turn = 2.0 * np.pi * periods * np.arange(chips) / chips
     assert np.abs(driven - np.stack([np.cos(turn), np.sin(turn)], axis=1)).max() <= 1.0 / ONE
     assert np.abs(driven[:, 0] - tone_template(chips, periods)).max() <= 1.0 / ONE
+
+
+@pytest.mark.parametrize(("degree", "periods"), [(9, 1), (10, 1), (11, 1), (11, 511)])
+def test_a_sinusoid_errs_by_its_rounding_alone(core, degree, periods):
+    """Half a unit, and the 4e-6 by which the series errs."""
+    chips = 2**degree - 1
+    turn = 2.0 * np.pi * periods * np.arange(chips) / chips
+    exact = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    assert np.abs(levels(core, degree, ROTATING, periods=periods) - exact).max() <= 0.5 / ONE + 4e-6
 
 
 @st.composite
@@ -147,6 +158,7 @@ def test_places_without_a_code_count_for_nothing(core):
                 (11, 0, 0, 1),
                 (10, 0, 0, 2),
                 (5, 0, 0, 2**31 + 1),
+                (5, 0, 0, pow(31, -1, 2**32)),  # 31 times that is 1 in 32 bits.
             ]
         ),
     ],
