@@ -206,7 +206,7 @@ def _others_alike(subsets: Subsets) -> dict[int, int]:
     """Return the beacons that subsets lack which fit about as well as the best, and the first such subset of each."""
     others = np.flatnonzero(subsets.fit.cost[1:] < subsets.fit.cost[0] + CLEAR) + 1
     found: dict[int, int] = {}
-    for which in others[: MOST_ALIKE + 1].tolist():
+    for which in others.tolist():
         for row in subsets.left_out[which].tolist():
             if row not in subsets.left_out[0]:
                 found.setdefault(row, which)
