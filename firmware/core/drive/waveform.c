@@ -35,7 +35,7 @@ static bool start_codes(waveform_t *waveform, const waveform_code_t *codes, uint
 }
 
 static bool start_slot(waveform_t *waveform, const waveform_config_t *config) {
-    if (config->slots > waveform->length || config->slot >= config->slots) { /* Of 0 slots there is none. */
+    if (config->slots > waveform->length || config->slot >= config->slots) { /* 0 slots, too. */
         return false;
     }
     const uint32_t chips = waveform->length / config->slots;
