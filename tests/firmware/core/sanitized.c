@@ -18,7 +18,11 @@
 #include "core/link/queue.h"
 #include "core/storage/crc32.h"
 #include "core/storage/store.h"
+#include "core/timing/acquire_record.h"
 #include "core/timing/chip_clock.h"
+#include "core/timing/code_field.h"
+#include "core/timing/code_search.h"
+#include "core/timing/edge_fit.h"
 
 #define REQUIRE(condition) ((condition) ? (void)0 : (fprintf(stderr, "line %d: %s\n", __LINE__, #condition), exit(1)))
 
@@ -201,6 +205,35 @@ static void sets(void) {
     free(bytes);
 }
 
+/* The stages of synchronisation by the field, of noise. */
+static void field_stages(void) {
+    static acquire_record_t record;
+    static code_search_t search;
+    static code_field_t field;
+    for (uint32_t chip = 0; chip < ACQUIRE_CHIPS; chip++) {
+        uint16_t burst[ACQUIRE_BURST][ACQUIRE_AXES];
+        int16_t sample[ACQUIRE_AXES];
+        for (uint32_t i = 0; i < ACQUIRE_BURST * ACQUIRE_AXES; i++) {
+            burst[i / ACQUIRE_AXES][i % ACQUIRE_AXES] = (uint16_t)(noise() & 4095u);
+        }
+        record_burst(&record, chip, chip % 2u == 0u ? RECORD_HALVES : RECORD_TRACKING, (const uint16_t(*)[3])burst);
+        acquire_sample((const uint16_t(*)[3])burst, sample);
+    }
+    code_search_start(&search, &record, 1.003f);
+    code_search_add(&search, 3);
+    const code_peak_t peak = code_search_peak(&search);
+    for (uint32_t sliding = 0; sliding < 2u; sliding++) {
+        const code_frame_t frame = {sliding != 0u, peak.label, peak.crossing, 1.003f};
+        code_field_start(&field, &record, &frame);
+        code_field_subtract(&field, CODE_FIELD_CODES - 1u, 3);
+        (void)code_field_present(&field, CODE_FIELD_CODES);
+        float variance;
+        (void)code_field_step(&field, &record, peak.label, 0, ACQUIRE_CHIPS, &variance);
+        edge_fit_t fit;
+        (void)edge_fit(code_field_profile(&field, &record, &frame), &(edge_shape_t){16422.0f, 2400.0f, 267.0f}, &fit);
+    }
+}
+
 #define MESSAGES 200000u
 static frame_t storage[16];
 static queue_t queue;
@@ -269,6 +302,7 @@ int main(void) {
     gold();
     despread();
     clocks();
+    field_stages();
     currents();
     waveforms();
     bytes();
