@@ -20,11 +20,11 @@
 
 bool current_configure(current_t *current, const current_config_t *config) {
     /* The comparisons are written so that a value that is not a number fails. */
-    if (!(config->sense_A > 0.0f && config->reference_A > 0.0f && config->amplitude_A >= 0.0f &&
-          config->open_fraction >= 0.0f && config->open_fraction <= 1.0f)) {
+    if (!(config->reference_A > 0.0f && config->amplitude_A >= 0.0f && config->open_fraction >= 0.0f &&
+          config->open_fraction <= 1.0f)) {
         return false;
     }
-    const float scale = config->reference_A / config->sense_A;
+    const float scale = config->reference_A / config->sense_A; /* Where it is above 0, the sense is. */
     if (!(config->amplitude_A / config->sense_A <= (float)(CURRENT_MID_SCALE - 1) && scale >= 1.0f / 1024.0f &&
           scale <= 8.0f)) {
         return false;

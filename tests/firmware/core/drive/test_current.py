@@ -135,7 +135,31 @@ def test_a_current_against_the_asked_direction_is_a_fault(core):
     assert lib.current_sample(running(core), True, 2560, 2048 - 1280) == OPEN
 
 
-@pytest.mark.parametrize(("amplitude", "least"), [(10.0, 2.5), (0.4, 0.125)])
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(("count", "cause"), [(639, OPEN), (640, 0)])
+def test_from_the_first_chip_on_a_driver_without_error_is_expected(core, sign, count, cause):
+    """Set-points of a drive before may come behind the start: half of what they ask for must be there."""
+    _, lib = core
+    loop, _ = configure(core, 10.0)
+    lib.current_start(loop)
+    assert lib.current_sample(loop, True, sign * 2560, 2048 + sign * count) == cause
+
+
+def test_a_start_forgets_the_line_of_the_drive_before(core):
+    """The driver may be another one; what is known of the zero stays."""
+    ffi, lib = core
+    loop = running(core, sizes=True)
+    zero = loop.zero
+    lib.current_stop(loop)
+    lib.current_start(loop)
+    fresh, _ = configure(core, 10.0, sizes=True)
+    lib.current_start(fresh)
+    assert bytes(ffi.buffer(loop.line)) == bytes(ffi.buffer(fresh.line))
+    assert (loop.reference, loop.measured_A, loop.dc_A, loop.target_A, loop.chips) == (0, 0.0, 0.0, 0.0, 0)
+    assert loop.zero == zero
+
+
+@pytest.mark.parametrize(("amplitude", "least"), [(10.0, 2.5), (0.4, 0.125), (0.47, 0.125), (0.54, 0.135)])
 def test_a_chip_that_asks_for_little_cannot_be_open(core, amplitude, least):
     """A quarter of the amplitude, or an eighth of an ampere if that is more."""
     _, lib = core
@@ -383,11 +407,19 @@ def test_a_target_beyond_the_set_points_is_told(core):
         {"amplitude": math.inf},
         {"amplitude": 1.0, "over": math.nan},
         {"amplitude": 1.0, "over": -1.0},
-        {"amplitude": 1.0, "open_fraction": 1.1},
+        {"amplitude": -1e-6},
+        {"amplitude": 2047.01 * SENSE, "over": 100.0},
+        {"amplitude": 1.0, "open_fraction": 1.0001},
+        {"amplitude": 1.0, "open_fraction": -0.01},
         {"amplitude": 1.0, "open_fraction": math.nan},
         {"amplitude": 1.0, "sense": 0.0},
         {"amplitude": 1.0, "reference": 0.0},
+        {"amplitude": 1.0, "sense": -SENSE},
+        {"amplitude": 1.0, "reference": -REFERENCE},
+        {"amplitude": 1.0, "sense": -SENSE, "reference": -REFERENCE},
         {"amplitude": 1.0, "reference": 1e-9},
+        {"amplitude": 1.0, "reference": 0.99 * SENSE / 1024.0},
+        {"amplitude": 1.0, "reference": 8.01 * SENSE},
         {"amplitude": 1.0, "reference": 0.1},
         {"amplitude": 1.0, "rms": -1.0},
         {"amplitude": 1.0, "rms": math.nan},
@@ -396,6 +428,33 @@ def test_a_target_beyond_the_set_points_is_told(core):
 )
 def test_impossible_configurations_are_refused(core, values):
     assert not configure(core, **values)[1]
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"amplitude": 0.0},
+        {"amplitude": 2047.0 * SENSE, "over": 100.0},
+        {"amplitude": 1.0, "open_fraction": 0.0},
+        {"amplitude": 1.0, "open_fraction": 1.0},
+        {"amplitude": 1.0, "reference": SENSE / 1024.0},
+        {"amplitude": 1.0, "reference": 8.0 * SENSE},
+    ],
+)
+def test_configurations_at_the_limits_are_taken(core, values):
+    assert configure(core, **values)[1]
+
+
+@pytest.mark.parametrize(("counts", "open_from"), [(3800.5, 3801), (4095.5, None), (65546.5, None)])
+def test_a_reference_too_fine_for_the_least_of_an_open_coil_has_none(core, counts, open_from):
+    """A quarter of the amplitude is more than a set-point has, or than sixteen bits hold; current flows backwards."""
+    _, lib = core
+    for asked in (1, 100, 3800, 3801, 4095):
+        loop, done = configure(core, 4.0 * counts * SENSE / 200.0, over=100.0, reference=SENSE / 200.0)
+        assert done
+        lib.current_start(loop)
+        is_open = open_from is not None and asked >= open_from
+        assert lib.current_sample(loop, True, asked, 2048 - 5) == (OPEN if is_open else 0), asked
 
 
 @pytest.mark.parametrize("beyond", [26, 27])
