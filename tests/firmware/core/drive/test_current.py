@@ -159,6 +159,36 @@ def test_a_start_forgets_the_line_of_the_drive_before(core):
     assert loop.zero == zero
 
 
+def test_a_start_begins_with_nothing_and_a_stop_leaves_nothing_asked(core):
+    """Whatever the drive before has left."""
+    _, lib = core
+    loop = running(core)
+    loop.headroom_lost = True
+    lib.current_stop(loop)
+    assert (loop.state, loop.reference, loop.headroom_lost) == (OFF, 0, False)
+    assert [line.scale for line in loop.line] == [0, 0]
+    assert lib.current_set_point(loop, 16384) == lib.current_set_point(loop, -16384) == 0
+    loop.reference, loop.chips, loop.short_blocks = 7, 8, 9
+    loop.measured_A, loop.dc_A, loop.target_A = 1.0, 2.0, 3.0
+    loop.headroom_lost = loop.strayed = True
+    lib.current_start(loop)
+    assert (loop.state, loop.reference, loop.chips, loop.short_blocks) == (RAMPING, 0, 0, 0)
+    assert (loop.measured_A, loop.dc_A, loop.target_A) == (0.0, 0.0, 0.0)
+    assert (loop.headroom_lost, loop.strayed) == (False, False)
+
+
+def test_the_smallest_level_of_either_sign_is_asked_of_its_own_direction(core):
+    """What their offsets ask for differs: ten counts and twenty."""
+    _, lib = core
+    loop = running(core, sizes=True)
+    for line, shift in zip(loop.line, (-160, -320), strict=True):
+        line.shift, line.carry = shift, 0
+    assert [lib.current_set_point(loop, level) for level in (1, -1, 0)] == [10, -20, 0]
+    for line in loop.line:
+        line.scale = 0  # As before the first block has ended: nothing is asked, whatever the offset.
+    assert [lib.current_set_point(loop, level) for level in (16384, -16384)] == [0, 0]
+
+
 @pytest.mark.parametrize(("amplitude", "least"), [(10.0, 2.5), (0.4, 0.125), (0.47, 0.125), (0.54, 0.135)])
 def test_a_chip_that_asks_for_little_cannot_be_open(core, amplitude, least):
     """A quarter of the amplitude, or an eighth of an ampere if that is more."""
