@@ -189,6 +189,40 @@ def test_the_smallest_level_of_either_sign_is_asked_of_its_own_direction(core):
     assert [lib.current_set_point(loop, level) for level in (16384, -16384)] == [0, 0]
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(
+    ("wanted", "shift", "set_point", "carry", "strayed"),
+    [
+        (4095 * 16, 0, 4095, 0, False),
+        (4095 * 16 + 7, 0, 4095, 7, False),
+        (4095 * 16 + 8, 0, 4095, 0, True),
+        (70000, 0, 4095, 0, True),
+        (70000, 70000 - 320, 20, 0, False),
+        (24, 0, 2, -8, False),
+        (23, 0, 1, 7, False),
+        (7, 0, 0, 7, False),
+        (16, 24, 0, -8, False),
+        (16, 25, 0, 0, False),
+        (16, 200, 0, 0, False),
+    ],
+)
+def test_a_set_point_is_rounded_and_within_what_there_is(core, sign, wanted, shift, set_point, carry, strayed):
+    """In sixteenths of a count: what is left is carried to the next one, unless there is no such set-point."""
+    _, lib = core
+    loop = running(core, sizes=True)
+    loop.strayed = False
+    for line in loop.line:
+        line.scale, line.shift, line.carry = wanted, shift, 0
+    assert lib.current_set_point(loop, sign * 16384) == sign * set_point
+    assert loop.line[sign < 0].carry == carry
+    assert loop.strayed == strayed
+    loop.line[sign < 0].carry = 3
+    loop.line[sign < 0].scale = wanted - 3
+    assert lib.current_set_point(loop, sign * 16384) == sign * set_point
+    assert loop.line[sign < 0].carry == carry
+    assert loop.line[sign > 0].carry == 0
+
+
 @pytest.mark.parametrize(("amplitude", "least"), [(10.0, 2.5), (0.4, 0.125), (0.47, 0.125), (0.54, 0.135)])
 def test_a_chip_that_asks_for_little_cannot_be_open(core, amplitude, least):
     """A quarter of the amplitude, or an eighth of an ampere if that is more."""
