@@ -178,12 +178,12 @@ def test_a_start_begins_with_nothing_and_a_stop_leaves_nothing_asked(core):
 
 
 def test_the_smallest_level_of_either_sign_is_asked_of_its_own_direction(core):
-    """What their offsets ask for differs: ten counts and twenty."""
+    """What their offsets ask for differs; the level itself, a 16,384th, is two sixteenths of a count."""
     _, lib = core
     loop = running(core, sizes=True)
-    for line, shift in zip(loop.line, (-160, -320), strict=True):
+    for line, shift in zip(loop.line, (-166, -326), strict=True):
         line.shift, line.carry = shift, 0
-    assert [lib.current_set_point(loop, level) for level in (1, -1, 0)] == [10, -20, 0]
+    assert [lib.current_set_point(loop, level) for level in (1, -1, 0)] == [11, -21, 0]
     for line in loop.line:
         line.scale = 0  # As before the first block has ended: nothing is asked, whatever the offset.
     assert [lib.current_set_point(loop, level) for level in (16384, -16384)] == [0, 0]
@@ -221,6 +221,31 @@ def test_a_set_point_is_rounded_and_within_what_there_is(core, sign, wanted, shi
     assert lib.current_set_point(loop, sign * 16384) == sign * set_point
     assert loop.line[sign < 0].carry == carry
     assert loop.line[sign > 0].carry == 0
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(("beyond", "set_point"), [(0, 0), (1, -12)])
+def test_a_direction_whose_offset_alone_is_more_than_the_level_leaves_it_to_the_other(core, sign, beyond, set_point):
+    """By a sixteenth of a count more: the other one, whose offset asks for 200 sixteenths, then takes them off it."""
+    _, lib = core
+    loop = running(core, sizes=True)
+    own, other = loop.line[sign < 0], loop.line[sign > 0]
+    own.scale, own.shift, own.carry = 16, 16 + beyond, 0
+    other.scale, other.shift, other.carry = 16, -200, 0
+    assert lib.current_set_point(loop, sign * 16384) == sign * set_point
+
+
+def test_a_direction_without_a_chip_in_a_block_forgets_nothing(core):
+    _, lib = core
+    loop, _ = configure(core, 10.0)
+    drive = Drive(core, loop, noise=0.0)
+    drive.run(31 * 100 + 31 - loop.chips)
+    before = [(line.count, line.asked, line.came, line.product, line.square) for line in loop.line]
+    for _ in range(62 - loop.chips):
+        assert lib.current_sample(loop, True, 2560, 2048 + 1280) == 0
+    after = [(line.count, line.asked, line.came, line.product, line.square) for line in loop.line]
+    assert after[1] == before[1]
+    assert after[0] != before[0]
 
 
 @pytest.mark.parametrize(("amplitude", "least"), [(10.0, 2.5), (0.4, 0.125), (0.47, 0.125), (0.54, 0.135)])
