@@ -38,8 +38,8 @@ BUGS = [
     (
         "storage",
         "storage/store.c",
-        "RECORD_EXTRA <= store->flash.words - from",
-        "RECORD_EXTRA <= store->flash.words - from + 1u",
+        "RECORD_EXTRA <= store->flash.words",
+        "RECORD_EXTRA <= store->flash.words + 1u",
     ),
     ("storage", "storage/store.c", "end <= count + 1u", "end <= count + 2u"),
     ("storage", "storage/store.c", "while (found.behind > 0u && ", "while ("),
