@@ -25,3 +25,8 @@ def test_two_versions_of_an_entry_are_found():
 
 def test_each_change_is_told_once():
     assert told_twice((ROOT / "CHANGELOG.md").read_text(encoding="utf-8")) == []
+
+
+def test_no_merge_has_left_its_marks():
+    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert re.findall(r"^(?:<{7} |={7}$|>{7} ).*", text, re.M) == []
