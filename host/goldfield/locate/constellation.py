@@ -119,6 +119,12 @@ class Constellation:
         return tuple((row, mirror) for row, model in enumerate(others) for mirror in find_mirrors(model, FLAT_REST))
 
     @cached_property
+    def mirrors_reach(self) -> tuple[FloatArray, FloatArray]:
+        """The fixed points of these, shape (k, 3), and the squares of the distances from which on they count."""
+        mirrors = [mirror for _, mirror in self.mirrors_without_one]
+        return np.array([mirror.point_m for mirror in mirrors]), np.square([mirror.least_m for mirror in mirrors])
+
+    @cached_property
     def _spread(self) -> Spread:
         return Spread(self.model.centre_m)
 

@@ -8,12 +8,15 @@ without a beacon beside the one with it, not the one across the plane: so the pr
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
 from goldfield.locate.constellation import RIVAL_COST, Constellation
 from goldfield.locate.fault_statistics import FaultStatistics
 from goldfield.locate.fit import Fit, Measurements
+from goldfield.locate.mirror import Mirror
 from goldfield.types import FloatArray
 
 LEAST = 4
@@ -39,10 +42,8 @@ def image_distance_m(
     distance = np.zeros((len(fit.cost), len(constellation.model)))
     if len(constellation.model) < LEAST:
         return distance
-    for row, mirror in constellation.mirrors_without_one:
-        epochs = np.flatnonzero(mirror.concerns(fit.position_m))
-        if not len(epochs):
-            continue
+    for row, mirror, concerned in _concerned(constellation, fit.position_m):
+        epochs = np.flatnonzero(concerned)
         image = mirror.image(fit.take(epochs))
         fits: NDArray[np.bool_] = constellation.inside(image.position_m)
         if not mirror.exact:
@@ -61,3 +62,15 @@ def image_distance_m(
 def _nearer(position_m: FloatArray, here_m: FloatArray, there_m: FloatArray) -> NDArray[np.bool_]:
     """Return which positions are nearer to the first than to the second: the fit has not come back to the pose."""
     return np.asarray(np.linalg.norm(position_m - here_m, axis=1) < np.linalg.norm(position_m - there_m, axis=1))
+
+
+def _concerned(constellation: Constellation, position_m: FloatArray) -> Iterator[tuple[int, Mirror, NDArray[np.bool_]]]:
+    """Yield the mirrors of which an image is worth a trial, each with its beacon and the positions, shape (e,).
+
+    All are looked at in one step: nearly always there is none, and a pose is one of many.
+    """
+    point_m, least_m2 = constellation.mirrors_reach
+    away_m = position_m[:, None] - point_m
+    concerned = np.einsum("eki,eki->ek", away_m, away_m) >= least_m2
+    for k in np.flatnonzero(concerned.any(axis=0)).tolist():
+        yield *constellation.mirrors_without_one[k], concerned[:, k]

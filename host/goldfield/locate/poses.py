@@ -154,9 +154,10 @@ def _figures(
 
 def _with_images(figures: _Figures, images_m: FloatArray) -> _Figures:
     """Let the protection levels reach to the images that one beacon alone rules out."""
+    if not images_m.any():  # nearly always
+        return figures
     far = images_m.max(axis=1, initial=0.0)
-    there = far > 0.0
-    worst = np.where(there, images_m.argmax(axis=1), figures.worst_beacon)
+    worst = np.where(far > 0.0, images_m.argmax(axis=1), figures.worst_beacon)
     return replace(figures, protection_m=figures.protection_m + far, worst_beacon=worst)
 
 
