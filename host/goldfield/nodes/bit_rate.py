@@ -69,7 +69,8 @@ class Change:
         Raises
         ------
         UserError
-            If two boards share a number.
+            If two boards share a number, or the link is one of a simulated bench, at whose rate no board would be heard
+            any more.
         SystemFailure
             If a board does not take the rate, or does not save it: it is named.
         """
@@ -120,6 +121,11 @@ class Change:
 
     def _check_all(self) -> None:
         name, nodes = self._conversation.name, self._conversation.roster.nodes
+        if self._conversation.virtual:
+            raise UserError(
+                f"{name}: is a virtual link, and those of a simulated bench keep the rates of its scenario: begin the "
+                f"bench anew with others in its [links]; {NOTHING}"
+            )
         numbers = [board.number for board in self._boards]
         shared = sorted({number for number in numbers if numbers.count(number) > 1})
         if shared:

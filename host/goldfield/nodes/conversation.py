@@ -86,6 +86,7 @@ class Tap(BusSource):
         self.name, self.key = link.name, key
         self.unlocked: set[str] = set()
         self.shared, self.listen_only, self.reconnects = link.shared, link.listen_only, link.reconnects
+        self.virtual = link.virtual
         self.roster = Roster()
         self._link = link
 
@@ -156,6 +157,11 @@ class Conversation:
     def line(self) -> Line:
         """What the link is, and at which rate."""
         return self._tap.line
+
+    @property
+    def virtual(self) -> bool:
+        """Whether the link has no bit rate of its own."""
+        return self._tap.virtual
 
     def set_bit_rate(self, bit_rate: int) -> None:
         """Open the link anew at another rate, as `Tap.set_bit_rate` does it."""

@@ -68,6 +68,7 @@ def test_a_rate_that_is_given_is_taken_and_not_looked_for(baud, capsys):
 def test_a_port_that_is_gone_meanwhile_is_told():
     with Uart(SERIAL[0]) as board:
         source = open_port(board.path, bit_rate=SERIAL[0])
+        assert source.virtual  # a pseudo-terminal
     with pytest.raises(SystemFailure, match=board.path):
         source.set_bit_rate(SERIAL[3])
     source.close()
@@ -139,6 +140,7 @@ def test_a_virtual_bus_has_the_rate_that_is_said(rate):
     source.close()
     source = open_can("virtual:rates")
     assert source.line == Line(Link.CAN, CAN[0])
+    assert source.virtual
     source.close()
 
 

@@ -275,6 +275,17 @@ def test_two_boards_of_one_number_are_no_place_to_begin(monkeypatch):
     assert {board.value for board in bus.boards} == {0}
 
 
+@pytest.mark.parametrize("rate", RATES[Link.CAN])
+def test_a_virtual_link_cannot_follow_its_boards(monkeypatch, rate):
+    """A simulated bench keeps the rates of its scenario: all its boards were lost, and said to need their power."""
+    bus = Bus(Board(1), Board(2))
+    bus.virtual = True
+    code, out, told = changed(monkeypatch, bus, str(rate))
+    assert (code, out) == (2, "")
+    assert "begin the bench anew with others in its [links]; nothing was changed" in told
+    assert {(board.value, board.saved, board.starts) for board in bus.boards} == {(0, 0, 0)}
+
+
 @pytest.mark.parametrize("rate", ["0", "-1", "1e9", "123456", "115200"])
 def test_a_rate_that_no_board_has(monkeypatch, rate):
     bus = Bus(Board(1))
