@@ -60,7 +60,8 @@ def beacon_finding(
     spread = slope @ pose_covariance @ slope.T
     # Along the principal axes of the spread every sum is one of its parts. On the beacon's wire nothing is a number.
     variance, axes = np.linalg.eigh(spread if np.isfinite(spread).all() else np.zeros_like(spread))
-    columns = (measured @ axes, modelled @ axes, variance)
+    # Where the others hardly tell the pose, the rounding of a large variance takes a small one below 0.
+    columns = (measured @ axes, modelled @ axes, np.maximum(variance, 0.0))
     parts = list(zip(*(column.tolist() for column in columns), strict=True))
     freedom = len(heard)
 

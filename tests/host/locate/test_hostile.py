@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from goldfield import Fields, Locator, Tracker, UserError
+from goldfield.site import HalfSpace
 from goldfield.types import LARGEST_T, LEAST_SIGMA_T, Explanation, Status
 from tests.bench import locate_trials as bench
 from tests.bench.integrity_sites import told
@@ -102,3 +105,18 @@ def test_what_a_factor_does_not_explain_is_not_told_as_one(room):
     pose = Locator(site).locate(Fields(0, 0.0, names, field[[3, 0, 5, 1, 7, 2, 4, 6]], sigma))
     assert pose.status is Status.INCONSISTENT
     assert [finding.kind for finding in pose.findings] == [Explanation.UNKNOWN]
+
+
+@pytest.mark.parametrize("seed", [0, 7, 41])
+def test_a_beacon_beside_a_line_of_others_is_judged_where_they_hardly_tell_the_pose(seed):
+    """The rounding of a large variance made a small one negative, and a root was drawn of less than nothing."""
+    rng = np.random.default_rng(seed)
+    places = rng.uniform(0.0, 3.0, size=(6, 3)) * [1.0, 0.0, 0.0]
+    places[-1] = 1.0
+    rng.normal(size=places.shape)
+    coils = [bench.loop_beacon(i, tuple(place), (0.0, 0.0, 1.0)) for i, place in enumerate(places)]
+    site = bench.site_of(coils, HalfSpace(np.zeros(3), np.array([0.0, 0.0, 1.0])), noise_T=2e-7)
+    run = bench.trials(site, rng.uniform([0.2, 0.2, 0.3], [2.7, 2.7, 2.0], size=(12, 3)), rng)
+    fields = bench.fields_of(site, replace(run, field_T=run.field_T * [1.0, 0.0, 0.0]))  # two axes are dead
+    for pose in Locator(site).locate_many(fields):
+        assert pose.status is not Status.OK or np.isfinite(pose.protection_m)
