@@ -81,15 +81,19 @@ class Change:
             self._conversation.write({(number, self._parameter): self._index for number in self._ids})
             self._save(self._ids)
         except BaseException as error:  # an interrupt, too, must not leave some boards at another rate
-            end = self._end(self._set_back())
+            end = self._undone()
             if isinstance(error, SystemFailure):
                 raise SystemFailure(f"{error}; {end}") from error
-            tell(f"{self._conversation.name}: broken off; {end}", failure=True)
+            self._tell_broken_off(end)
             raise
 
     def reset(self) -> None:
         """Reset the boards that have not restarted yet; who does not answer may have done it."""
-        self._command(RESET, 0, set(self._ids) - self._restarted)
+        try:
+            self._command(RESET, 0, set(self._ids) - self._restarted)
+        except BaseException:
+            self._tell_broken_off(f"all boards have saved {self.bit_rate} bit/s: power them off and on")
+            raise
 
     def heard(self) -> list[int]:
         """Open the link at the new rate, and return the numbers of the boards that are heard.
@@ -184,6 +188,17 @@ class Change:
         return told
 
     # ---- Back again ----
+
+    def _undone(self) -> str:
+        """Set all back, and return what has become of them; of what is broken off in its turn nothing is known."""
+        try:
+            return self._end(self._set_back())
+        except BaseException:
+            self._tell_broken_off(self._end(list(self._ids)))
+            raise
+
+    def _tell_broken_off(self, end: str) -> None:
+        tell(f"{self._conversation.name}: broken off; {end}", failure=True)
 
     def _set_back(self) -> list[int]:
         """Give all boards the rate that they had, saved where need be; return the numbers of those that may lack it."""

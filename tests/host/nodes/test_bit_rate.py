@@ -227,24 +227,45 @@ def test_boards_that_restarted_behind_an_interface_that_is_the_kernels_are_named
     assert [board.index for board in bus.boards] == [2, 0]
 
 
-def test_an_interrupt_changes_nothing(monkeypatch):
-    bus = Bus(Board(1), Board(2))
-    send = bus.send
-    saves = []
+def interrupt(monkeypatch, bus, command, *counts):
+    """Let those of the requests that give a command, counted from 1, be interrupted."""
+    send, given = bus.send, itertools.count(1)
 
     def interrupted(identifier, data):
         message = decode(identifier, data)
-        if (message.name, message.index) == ("COMMAND", SAVE):
-            saves.append(message.node)
-            if len(saves) == 2:
-                raise KeyboardInterrupt
+        if (message.name, message.index) == ("COMMAND", command) and next(given) in counts:
+            raise KeyboardInterrupt
         send(identifier, data)
 
     monkeypatch.setattr(bus, "send", interrupted)
+
+
+def test_an_interrupt_changes_nothing(monkeypatch):
+    bus = Bus(Board(1), Board(2))
+    interrupt(monkeypatch, bus, SAVE, 2)
     code, _, told = changed(monkeypatch, bus, str(NEW))
     assert code == 130
     assert "broken off; nothing was changed" in told
     assert {(board.value, board.saved, board.starts) for board in bus.boards} == {(0, 0, 0)}
+
+
+def test_a_second_interrupt_tells_who_may_be_at_another_rate(monkeypatch):
+    bus = Bus(Board(1), Board(2))
+    interrupt(monkeypatch, bus, SAVE, 2, 3)
+    code, _, told = changed(monkeypatch, bus, str(NEW))
+    assert code == 130
+    assert "broken off; 2 nodes, 1 and 2, may speak at 250000 bit/s after the next reset" in told
+    assert [board.saved for board in bus.boards] == [2, 0]
+
+
+def test_an_interrupt_amid_the_reset_says_that_all_have_saved(monkeypatch):
+    bus = Bus(Board(1), Board(2))
+    interrupt(monkeypatch, bus, RESET, 2)
+    code, _, told = changed(monkeypatch, bus, str(NEW))
+    assert code == 130
+    assert "broken off; all boards have saved 250000 bit/s: power them off and on" in told
+    assert [board.saved for board in bus.boards] == [2, 2]
+    assert [board.starts for board in bus.boards] == [1, 0]
 
 
 def test_a_kernels_interface_is_the_users_to_set(monkeypatch):
