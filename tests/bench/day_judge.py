@@ -78,7 +78,7 @@ class Judge:
     renumbered: int = 0
     _numbers: deque[int] = field(default_factory=lambda: deque(maxlen=KEPT))
     _middles_s: deque[float] = field(default_factory=lambda: deque(maxlen=KEPT))
-    _offset: int | None = None
+    _offsets: list[int] = field(default_factory=list)
     _waiting: list[Seen] = field(default_factory=list)
     _latest: int | None = None
     _latest_epoch: int = 0
@@ -108,21 +108,29 @@ class Judge:
 
         On a sound link the arrival of its last message tells which it was. While a fault is on, a cycle may come late:
         then its number does, with what the numbers differed by from the wire's cycles before, unless the cycles were
-        numbered anew, or two drove the wire.
+        numbered anew, or two drove the wire. No cycle comes before it was, and one that comes much later, as a board
+        had kept it, changes nothing for those behind it: so the last two differences count.
         """
         arrived_s = one.came_s - TRANSFER_S - 0.5 * CYCLE_S
         at = min(bisect_left(middles_s, arrived_s), len(middles_s) - 1)
         at = at - 1 if at > 0 and arrived_s - middles_s[at - 1] < middles_s[at] - arrived_s else at
         nearest = self._numbers[at]
-        offset = (nearest - one.epoch.pose.epoch) % CYCLES
-        behind = 0 if self._offset is None else (offset - self._offset + CYCLES // 2) % CYCLES - CYCLES // 2
-        if one.struck is None or one.struck.kind.by_arrival or abs(behind) > LATE_CYCLES or self._offset is None:
-            self.renumbered += self._offset is not None and behind != 0
-            self._offset, behind = offset, 0
+        behind = self._behind((nearest - one.epoch.pose.epoch) % CYCLES, one)
         self._missed(nearest - behind, one)
         known = 0 <= at - behind < len(middles_s)
         snapped_s = middles_s[at - behind] if known else middles_s[at] - behind * CYCLE_S
         return snapped_s if behind or abs(snapped_s - arrived_s) < SNAP_S else arrived_s
+
+    def _behind(self, offset: int, one: Seen) -> int:
+        """Return by how many cycles a pose is late, whose number differs by an offset from that of its arrival."""
+        if one.struck is not None and not one.struck.kind.by_arrival:
+            for base in self._offsets:
+                behind = (offset - base + CYCLES // 2) % CYCLES - CYCLES // 2
+                if 0 <= behind <= LATE_CYCLES:
+                    return behind
+        self.renumbered += bool(self._offsets) and offset != self._offsets[0]
+        self._offsets = [offset, *self._offsets[:1]]
+        return 0
 
     def _missed(self, cycle: int, one: Seen) -> None:
         """Count the cycles between two poses, and the wraps of their numbers."""

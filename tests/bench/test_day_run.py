@@ -4,10 +4,12 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from goldfield.types import Status
 from tests.bench.day_faults import (
     AFTER_S,
     ALL_ANEW,
@@ -21,10 +23,13 @@ from tests.bench.day_faults import (
     possible,
     takes_power,
 )
+from tests.bench.day_judge import Judge, Seen
 from tests.bench.day_memory import holdings, objects, resident_bytes, slope
 from tests.bench.day_run import GROWTH_BYTES_PER_H, OBJECTS_PER_H, Day, Hour
 from tests.campaign.kinds import KINDS
 from tests.campaign.links import silent, sound
+from tests.campaign.stage import CYCLE_S
+from tests.campaign.trial import LATE_CYCLES, TRANSFER_S
 
 MINUTE_H = 1.0 / 60.0
 LEAD_CYCLES = 100
@@ -99,6 +104,30 @@ def test_a_counter_and_cycles_that_no_fault_explains_are_found() -> None:
     ]
     assert any("cycles lost behind no fault" in one for one in found)
     assert day.judge.lost[""] in (9, 10, 11)
+
+
+class Along:
+    """A motion of a metre a second along x."""
+
+    def poses(self, times_s):  # type: ignore[no-untyped-def]
+        return np.stack([times_s, 0.0 * times_s, 0.0 * times_s], axis=1), None
+
+
+def test_cycles_that_come_late_behind_a_cut_are_held_to_where_the_sensor_was() -> None:
+    """What a board has kept comes first, and tells nothing here; then what is new: no cycle comes before it was."""
+    judge = Judge(Along())  # type: ignore[arg-type]
+    kind = next(kind for kind in possible() if kind.name == "the sensor loses the bus")
+    seen = []
+    for number, late in ((45, 0), (46, 40), (85, 2), (86, 1), (87, 0), (88, 0)):
+        status = Status.FAILED if late > LATE_CYCLES else Status.OK
+        place_m = np.array([number * CYCLE_S, 0.0, 0.0])
+        pose = SimpleNamespace(epoch=number, status=status, position_m=place_m, protection_m=0.05)
+        came_s = (number + late + 0.5) * CYCLE_S + TRANSFER_S
+        epoch = SimpleNamespace(pose=pose)
+        seen.append(Seen(came_s, came_s, epoch, Struck(kind, 4.0, 8.0)))  # type: ignore[arg-type]
+    judge.judge(seen, [(number, number * CYCLE_S, CYCLE_S) for number in range(100)])
+    assert judge.poses == {"ok": 5, "failed": 1}
+    assert judge.wrong == []
 
 
 def test_a_table_is_written(tmp_path: Path) -> None:
