@@ -16,7 +16,7 @@ from goldfield.locate.chances import chdtri, gammaincc
 from goldfield.locate.fault_statistics import fault_statistics
 from goldfield.locate.field_shell_search import Shell, best_apart, profiled_attitude, profiled_loss
 from goldfield.locate.fit import Fit, Measurements, fit_pose, stacked
-from goldfield.locate.mirror import Mirror, find_mirrors
+from goldfield.locate.mirror import Mirror, Reach, find_mirrors
 from goldfield.locate.solutions import Solutions, nowhere, unsolved
 from goldfield.locate.spread import Spread
 from goldfield.locate.starts import MAGNITUDE_ERROR, SIMPLE_RANGE_ERROR, log_magnitudes, simple_magnitudes
@@ -119,10 +119,9 @@ class Constellation:
         return tuple((row, mirror) for row, model in enumerate(others) for mirror in find_mirrors(model, FLAT_REST))
 
     @cached_property
-    def mirrors_reach(self) -> tuple[FloatArray, FloatArray]:
-        """The fixed points of these, shape (k, 3), and the squares of the distances from which on they count."""
-        mirrors = [mirror for _, mirror in self.mirrors_without_one]
-        return np.array([mirror.point_m for mirror in mirrors]), np.square([mirror.least_m for mirror in mirrors])
+    def mirrors_reach(self) -> Reach:
+        """What decides where these are worth a trial."""
+        return Reach.of([mirror for _, mirror in self.mirrors_without_one])
 
     @cached_property
     def _spread(self) -> Spread:

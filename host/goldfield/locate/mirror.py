@@ -11,7 +11,9 @@ at the point across their middle differ by some per cent, which is less than the
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,6 +71,31 @@ class Mirror:
         both = np.zeros((6, 6))
         both[:3, :3], both[3:, 3:] = self.reflection, self.turn
         return np.asarray(both @ matrix @ both.T)
+
+
+class Reach(NamedTuple):
+    """What decides where k mirrors are worth a trial, as arrays.
+
+    Attributes
+    ----------
+    point_m, reflection : ndarray, shapes (k, 3) and (k, 3, 3)
+        Those of `Mirror`.
+    least_m2 : ndarray, shape (k,)
+        Squares of `Mirror.least_m`.
+    """
+
+    point_m: FloatArray
+    reflection: FloatArray
+    least_m2: FloatArray
+
+    @classmethod
+    def of(cls, mirrors: Sequence[Mirror]) -> Reach:
+        """Return that of some mirrors."""
+        return cls(
+            np.array([mirror.point_m for mirror in mirrors]),
+            np.array([mirror.reflection for mirror in mirrors]),
+            np.square([mirror.least_m for mirror in mirrors]),
+        )
 
 
 def find_mirrors(model: FieldModel, flat: float = FLAT) -> tuple[Mirror, ...]:

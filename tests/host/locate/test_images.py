@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from goldfield.locate import Locator
+from goldfield.field import FieldModel
+from goldfield.locate import Locator, images
+from goldfield.locate.constellation import Constellation
 from goldfield.site import HalfSpace
 from goldfield.types import Status
 from tests.bench import locate_trials as bench
@@ -57,6 +59,15 @@ def test_others_are_as_sure_as_before(site):
     found = located(site, poses(site))
     assert sum(pose.status is Status.OK for pose in found) > 190
     assert all(pose.protection_m < site.alert_limit_m for pose in found if pose.status is Status.OK)
+
+
+@pytest.mark.parametrize(("half_space", "tried"), [(ABOVE, False), (None, True)])
+def test_images_that_the_half_space_rules_out_cost_no_fit(half_space, tried):
+    """All coils on the floor, nearly: each of them would have an image of each pose to be fitted."""
+    site = room(0, half_space, 1e-3, 5e-4)
+    constellation = Constellation(FieldModel(site.beacons), site.half_space)
+    here_m = np.random.default_rng(3).uniform([0.4, 0.4, 0.4], [1.7, 1.7, 1.4], size=(50, 3))
+    assert bool(list(images._concerned(constellation, here_m))) == tried
 
 
 def test_no_image_is_taken_for_the_pose_where_the_coil_that_tells_them_apart_is_dead():
