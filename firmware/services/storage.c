@@ -20,8 +20,12 @@ static bool are_those(const parameters_t *parameters, const uint32_t *words, uin
     return count != PARAMETER_SET_WORDS || parameter_set_holds(parameters, words[1], words); /* With their version. */
 }
 
+static store_flash_t flash_of(const storage_t *storage) {
+    return (store_flash_t){{hal_flash_slot(storage->hal, 0), hal_flash_slot(storage->hal, 1)}, HAL_FLASH_WORDS};
+}
+
 static storage_found_t load(storage_t *storage, parameters_t *parameters) {
-    const store_flash_t flash = {{hal_flash_slot(storage->hal, 0), hal_flash_slot(storage->hal, 1)}, HAL_FLASH_WORDS};
+    const store_flash_t flash = flash_of(storage);
     store_open(&storage->store, &flash);
     storage_found_t found = {.torn = store_torn(&storage->store)};
     uint32_t count;
@@ -56,10 +60,10 @@ void storage_save(storage_t *storage, const parameters_t *parameters, uint32_t v
     storage->erased = false;
 }
 
-/* Whether the words to be saved are those that are saved. */
-static bool is_saved(const storage_t *storage) {
+/* Whether the words to be saved are those that a store has. */
+static bool has(const store_t *store, const storage_t *storage) {
     uint32_t count;
-    const uint32_t *const words = store_read(&storage->store, &count);
+    const uint32_t *const words = store_read(store, &count);
     return count == PARAMETER_SET_WORDS && memcmp(words, storage->words, sizeof storage->words) == 0;
 }
 
@@ -73,8 +77,17 @@ static bool is_saved_again(const storage_t *storage) {
     return count == PARAMETER_SET_WORDS && differ == 0u;
 }
 
+/* Whether the next start would find them, looked for in the flash alone: the store that has written them may be wrong
+ * about it. */
+static bool is_found(const storage_t *storage) {
+    const store_flash_t flash = flash_of(storage);
+    store_t found;
+    store_open(&found, &flash);
+    return has(&found, storage);
+}
+
 static storage_result_t result(const storage_t *storage) {
-    if (store_outcome(&storage->store) == STORE_SAVED) {
+    if (store_outcome(&storage->store) == STORE_SAVED && is_found(storage) && is_saved_again(storage)) {
         return storage->erased ? STORAGE_RESTART : STORAGE_KEPT;
     }
     return storage->erased ? STORAGE_STRANDED : STORAGE_FAILED;
@@ -92,7 +105,7 @@ static storage_result_t go_on(storage_t *storage) {
             return STORAGE_FAILED;
         } else if (storage->begun) {
             return result(storage);
-        } else if (is_saved(storage)) {
+        } else if (has(&storage->store, storage)) {
             return is_saved_again(storage) ? STORAGE_KEPT : STORAGE_FAILED;
         } else {
             storage->begun = store_save(&storage->store, storage->words, PARAMETER_SET_WORDS);
