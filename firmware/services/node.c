@@ -5,8 +5,6 @@
 #include "link_rates.h"
 #include "protocol_hash.h"
 
-#define CAN_FAST 1000000u /* The highest rate of CAN, bits a second. */
-
 uint32_t node_count(uint32_t counted, uint32_t more) {
     return counted > UINT32_MAX - more ? UINT32_MAX : counted + more;
 }
@@ -26,8 +24,8 @@ void node_links_start(node_t *node) {
     const uint32_t can_bit_s = can_rates[parameters_unsigned(&node->parameters, PARAMETER_CAN_RATE)];
     const uint32_t serial_baud = serial_rates[parameters_unsigned(&node->parameters, PARAMETER_SERIAL_RATE)];
     hal_links_start(node->hal, can_bit_s, serial_baud);
-    node->can_slow = CAN_FAST / can_bit_s;
-    node->slow = CAN_FAST / (can_bit_s < serial_baud ? can_bit_s : serial_baud);
+    node->can_slow = can_rates[0] / can_bit_s;
+    node->slow = can_rates[0] / (can_bit_s < serial_baud ? can_bit_s : serial_baud);
     node->can_us = hal_microseconds(node->hal);
     bus_share_start(&node->share, can_bit_s, node->can_us);
 }

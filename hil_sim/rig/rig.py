@@ -352,7 +352,7 @@ class Rig:
         Raises
         ------
         UserError
-            If it is negative or above 1 us, a bit.
+            If it is negative or above 1 us, the shortest bit.
         """
         if not 0.0 <= seconds <= 1e-6:
             raise UserError(f"a CAN bus delays a frame by 0 to 1 us, not {seconds * 1e6:g} us")

@@ -69,6 +69,11 @@ class Sharing:
         if most == self._codes:
             return self._strongest
         told = f"{self._codes} codes a cycle do not fit into {SHARE[line.link]:.0%} of {line}".replace("%", " %")
+        if not most:
+            self._receiver.tell_once(
+                f"{told}, nor does one: let the boards speak faster, with goldfield nodes bit-rate"
+            )
+            return self._strongest
         if self._strongest is None:
             self._receiver.tell_once(f"{told}: let the sensor choose, with {option('strongest', most)}")
             return None

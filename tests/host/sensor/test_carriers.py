@@ -136,6 +136,22 @@ def test_no_more_codes_than_fit_are_asked_for(monkeypatch, capsys, bit_rate, bea
     assert ("strongest=55" in told) is (beacons == 56)
 
 
+@pytest.mark.parametrize(("bit_rate", "one_fits"), [(250_000, False), (500_000, True)])
+def test_a_link_that_carries_no_code_at_all_is_told(monkeypatch, capsys, bit_rate, one_fits):
+    """Degree 5: a cycle takes 3 ms, the three messages before its fields 1.9 ms at 250 kbit/s, 1 ms at 500 kbit/s."""
+    chooses = PARAMETERS["strongest"].first
+    link = VirtualLink({28: 5, chooses: 0})
+    link.line = Line(Link.CAN, bit_rate)
+    told_by(link, monkeypatch)
+    link.deliver(heartbeat())
+    Session(link, "virtual", dataclasses.replace(room(8), degree=5), NODE, strongest=8).start()
+    told = capsys.readouterr().err
+    assert "8 codes a cycle do not fit into 75 % of CAN" in told
+    assert ("nor does one: let the boards speak faster" in told) is not one_fits
+    assert ("the sensor reports " in told) is one_fits
+    assert (link.parameters[chooses] < 8) is one_fits
+
+
 def motion(node, name="BLOCK", index=62):
     """What another sensor on the bus sends of its motion."""
     return encode(
