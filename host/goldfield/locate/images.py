@@ -20,7 +20,7 @@ from goldfield.locate.mirror import Mirror
 from goldfield.types import FloatArray
 
 MOVED = 0.25
-"""Part of the way to an image by which its fit moves it at most: of 20,000 poses near planes 3 were moved by more."""
+"""Part of the way to an image by which a fit is taken to move it at most, where the half-space decides."""
 
 LEAST = 4
 """Beacons from which on one may be left out and the others fit a pose by more than chance."""

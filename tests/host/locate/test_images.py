@@ -9,7 +9,7 @@ import pytest
 
 from goldfield.field import FieldModel
 from goldfield.locate import Locator, images
-from goldfield.locate.constellation import Constellation
+from goldfield.locate.constellation import FLAT_REST, Constellation
 from goldfield.site import HalfSpace
 from goldfield.types import Status
 from tests.bench import locate_trials as bench
@@ -68,6 +68,38 @@ def test_images_that_the_half_space_rules_out_cost_no_fit(half_space, tried):
     constellation = Constellation(FieldModel(site.beacons), site.half_space)
     here_m = np.random.default_rng(3).uniform([0.4, 0.4, 0.4], [1.7, 1.7, 1.4], size=(50, 3))
     assert bool(list(images._concerned(constellation, here_m))) == tried
+
+
+@pytest.mark.parametrize(("below_m", "tried"), [(0.49, False), (0.51, True)])
+def test_an_image_that_a_fit_may_bring_back_is_tried(below_m, tried):
+    """The image of a pose 1 m above the floor is 2 m from it: a quarter of that way back is half a metre."""
+    site = room(0, HalfSpace(np.array([0.0, 0.0, -below_m]), np.array([0.0, 0.0, 1.0])))
+    constellation = Constellation(FieldModel(site.beacons), site.half_space)
+    assert bool(list(images._concerned(constellation, np.array([[1.0, 0.9, 1.0]])))) == tried
+
+
+def test_what_the_half_space_saves_changes_no_pose(monkeypatch):
+    """Near-flat rooms, whose images a fit moves: with all of them tried the levels are the same."""
+    for raised_m, lean in ((0.02, 0.01), (0.05, 0.02), (0.1, 0.03)):
+        site = room(0, ABOVE, raised_m, lean)
+        run = poses(site, 100)
+        quick = located(site, run)
+        with monkeypatch.context() as patch:
+            patch.setattr(images, "MOVED", np.inf)
+            slow = located(site, run)
+        assert [pose.status for pose in quick] == [pose.status for pose in slow]
+        assert [pose.protection_m for pose in quick] == [pose.protection_m for pose in slow]
+
+
+@pytest.mark.parametrize(("thickness", "flat"), [(0.99 * FLAT_REST, True), (1.01 * FLAT_REST, False)])
+def test_what_is_flat_enough_for_an_image(thickness, flat):
+    """Four coils at the corners of a square of 2 m, two of them raised and two lowered: their extent is 2 m."""
+    up_m = 2.0 * thickness
+    corners = [(1.0, 1.0, up_m), (-1.0, 1.0, -up_m), (-1.0, -1.0, up_m), (1.0, -1.0, -up_m)]
+    coils = [bench.loop_beacon(i, place) for i, place in enumerate([*corners, (0.0, 0.0, 2.0)])]
+    constellation = Constellation(FieldModel(bench.site_of(coils, None).beacons))
+    across = [row for row, mirror in constellation.mirrors_without_one if not np.allclose(mirror.turn, np.eye(3))]
+    assert (4 in across) == flat
 
 
 def test_no_image_is_taken_for_the_pose_where_the_coil_that_tells_them_apart_is_dead():
