@@ -221,6 +221,9 @@ def test_abort_of_what_the_network_has(can_chip: Bench) -> None:
     chip.expect("mailbox 2 may be on the bus")
     assert chip.edge.aborts == [(2, chip.now)]
     assert chip.read(CAN + TSR) & 0x100F0000 == 0x10010000, "RQCP2 without TXOK2; TME2"
+    chip.operations.can_sent(chip.board, 2, True, chip.now)
+    chip.run(1000)
+    assert chip.read(CAN + TSR) & 0x20000 == 0, "what comes behind the abort is of no request"
 
 
 def test_lone_node_turns_error_passive_and_tries_on(can_chip: Bench) -> None:
