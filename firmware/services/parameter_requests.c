@@ -2,6 +2,7 @@
 
 #include <string.h>
 
+#include "core/link/messages.h"
 #include "goldfield.h"
 #include "protocol_hash.h"
 #include "services/access.h"
@@ -35,8 +36,8 @@ void parameter_requests_set(node_t *node, node_links_t link, uint32_t index, con
     }
     parameter_status_t status = PARAMETER_LOCKED;
     if (access_granted(&node->access, node_link_index(link))) {
-        /* Asked twice: one instruction that goes wrong does not unlock the board. */
-        if (access_granted(&node->access, node_link_index(link))) {
+        /* Asked twice: one instruction that goes wrong does not unlock the board, nor change another parameter. */
+        if (access_granted(&node->access, node_link_index(link)) && index == message_index(frame->id)) {
             status = parameters_set(&node->parameters, index, value);
         }
     }

@@ -2,6 +2,7 @@
 
 #include <string.h>
 
+#include "core/link/messages.h"
 #include "goldfield.h"
 #include "protocol_hash.h"
 #include "services/access.h"
@@ -312,6 +313,9 @@ static void take_command(node_t *node, node_links_t link, uint32_t index, const 
     if (command.board != 0 && command.board != own) {
         return;
     }
+    if (index != message_index(frame->id)) {
+        return; /* Looked at twice: one instruction that goes wrong carries out no other command. */
+    }
     update_heard(&node->update);
     if (index == COMMAND_IDENTITY || index == COMMAND_LAST_RESET) {
         answer_late(node, index == COMMAND_IDENTITY ? &node->identity_late : &node->reset_late, link, own);
@@ -358,7 +362,7 @@ static void take_command(node_t *node, node_links_t link, uint32_t index, const 
 
 void requests_take(node_t *node, node_links_t link, const frame_t *frame) {
     const uint32_t message = frame->id & ~((1u << PROTOCOL_TYPE_SHIFT) - 1u);
-    const uint32_t index = frame->id >> PROTOCOL_INDEX_SHIFT & 0xFFFu;
+    const uint32_t index = message_index(frame->id);
     const uint32_t to = frame->id & PROTOCOL_NODE_MASK;
     if (to != 0 && to != node->id) {
         return;

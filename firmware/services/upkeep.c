@@ -86,7 +86,7 @@ static void receive(node_t *node, node_links_t link, const frame_t *frame) {
         return;
     }
     const uint32_t message = frame->id & ~((1u << PROTOCOL_TYPE_SHIFT) - 1u);
-    const uint32_t index = frame->id >> PROTOCOL_INDEX_SHIFT & 0xFFFu;
+    const uint32_t index = message_index(frame->id);
     const uint32_t to = frame->id & PROTOCOL_NODE_MASK;
     if (message == GOLDFIELD_SYNC_FRAME_ID) {
         struct goldfield_sync_t sync = {0};

@@ -62,6 +62,13 @@ def test_no_instruction_that_asks_for_the_key_is_needed_alone() -> None:
     check(done)
 
 
+def test_no_instruction_that_hands_a_request_on_is_needed_alone() -> None:
+    """The move of the index, skipped, once changed another parameter in the place of the one that was meant."""
+    done = outcomes(named("frames"), functions=("requests_take", "parameter_requests_set"))
+    assert len(done) >= 100
+    check(done)
+
+
 def test_no_instruction_that_orders_the_slots_is_needed_alone() -> None:
     """The store of the second place, skipped, once started an older image: the newer one was never looked at."""
     done = outcomes(named("older"), functions=("select_open",))

@@ -1,8 +1,9 @@
 /* messages.h: tells which received frames are messages of protocol/goldfield_protocol/goldfield.dbc, on a bus that may
  * be shared with anybody.
  *
- * There is one call, message_fault, for each frame that is received. The generated message_table.h is the one home of
- * the messages' lengths and indices; no module compares a length with a number of its own.
+ * message_fault is called for each frame that is received; message_index tells which one of its message the frame is.
+ * The generated message_table.h is the one home of the messages' lengths and indices; no module compares a length with
+ * a number of its own.
  *
  * Security. Whoever can write to the wire can send any message; this check is against accident. The identifiers of
  * other protocols (J1939, CANopen) with 29 bits cover ours: a frame of theirs that has the type of a message by chance
@@ -28,6 +29,9 @@ typedef enum {
     MESSAGE_FOREIGN = 1,     /* No message has this type and this index. */
     MESSAGE_WRONG_LENGTH = 2 /* The message has another number of bytes. */
 } message_fault_t;
+
+/* Returns the index in a 29-bit identifier, 0 to 4,095: which parameter, beacon or chip its frame is of. */
+uint32_t message_index(uint32_t id);
 
 /* Judge a data frame by its 29-bit identifier and its bytes of data. Costs about 15 instructions.
  * Returns MESSAGE_OK or why it is no message. */

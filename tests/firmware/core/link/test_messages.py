@@ -12,6 +12,7 @@ def test_the_same_frames_are_messages_as_on_the_host(core):
         for index in {0, largest, min(largest + 1, 4095), 4095}:
             for length in range(16):  # a CAN controller may tell up to 15
                 identifier = Identifier(type_, index, 0xFFF).pack()
+                assert lib.message_index(identifier) == index
                 fault = lib.message_fault(identifier, length)
                 assert fault == faults[mismatch(identifier, length)]
                 seen.add(fault)
