@@ -11,7 +11,8 @@ from goldfield.errors import SystemFailure, UserError, tell
 from goldfield.link.access import Locked
 from goldfield.link.access_key import AccessKey
 from goldfield.nodes import opening
-from goldfield.nodes.conversation import Conversation, Tap
+from goldfield.nodes.conversation import Conversation
+from goldfield.nodes.tap import Tap
 from goldfield.types import FloatArray
 from goldfield_protocol.parameters import PARAMETERS, Parameter
 

@@ -52,8 +52,9 @@ def run(arguments: argparse.Namespace) -> int:
     from contextlib import closing
 
     from goldfield.cli.flashing import flash
-    from goldfield.nodes.conversation import Conversation, Tap
+    from goldfield.nodes.conversation import Conversation
     from goldfield.nodes.opening import open_link
+    from goldfield.nodes.tap import Tap
     from goldfield.update.image_files import read
 
     if arguments.probe is not None:

@@ -94,8 +94,9 @@ def run(arguments: argparse.Namespace) -> int:
     from contextlib import closing
 
     from goldfield.cli import node_actions
-    from goldfield.nodes.conversation import Conversation, Tap
+    from goldfield.nodes.conversation import Conversation
     from goldfield.nodes.opening import open_link
+    from goldfield.nodes.tap import Tap
 
     kind, where = link_options.chosen(arguments)
     key = link_options.key(arguments)

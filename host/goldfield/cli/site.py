@@ -79,9 +79,10 @@ def run(arguments: argparse.Namespace) -> int:
     from contextlib import closing
 
     from goldfield.cli.site_actions import act
-    from goldfield.nodes.conversation import Conversation, Tap
+    from goldfield.nodes.conversation import Conversation
     from goldfield.nodes.opening import open_link
     from goldfield.nodes.site_boards import wanted_of
+    from goldfield.nodes.tap import Tap
     from goldfield.site import load
 
     site = load(arguments.site)

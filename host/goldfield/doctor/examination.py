@@ -12,8 +12,9 @@ from goldfield.errors import SystemFailure, UserError, counted
 from goldfield.link.access_key import AccessKey
 from goldfield.link.ports import kernel_can_errors
 from goldfield.link.traffic import DAMAGED, ERROR, damaged
-from goldfield.nodes.conversation import Conversation, Tap
+from goldfield.nodes.conversation import Conversation
 from goldfield.nodes.roster import Node, Roster
+from goldfield.nodes.tap import Tap
 from goldfield.sensor.health import MANY_EDGES, SYNC_REJECTED
 from goldfield.sensor.options import Options
 from goldfield.sensor.pipeline import Epoch, Sensor
