@@ -218,3 +218,12 @@ class Node:
             self.open(choice.slot)
             self.confirm()
         return choice, image
+
+
+def running_old(core, seed=1, other=True):
+    """Return a node that runs the old image in slot 0; in slot 1 lies one from before, or nothing."""
+    node = Node(core, seed)
+    node.confirmed(OLD, 0, 7)
+    if other:
+        node.confirmed(replace(OLD, code=(1, 2, 3)), 1, 6)
+    return node
