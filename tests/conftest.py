@@ -29,6 +29,7 @@ signal.signal(signal.SIGHUP, signal.SIG_DFL)
 HERE = Path(__file__).parent
 LONG = (
     "bench/test_day_run.py",
+    "bench/test_integrity_rod.py",
     "bench/test_integrity_trials.py",
     "bench/test_locate_figures.py",
     "bench/test_rate_figures.py",
