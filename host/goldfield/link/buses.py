@@ -14,15 +14,13 @@ import can
 
 from goldfield.errors import SystemFailure, UserError, option, tell
 from goldfield.link.access_key import AccessKey
-from goldfield.link.can_channel import kernel_bit_rate, open_channel, resynchronise
+from goldfield.link.can_channel import is_virtual, kernel_bit_rate, open_channel, resynchronise
 from goldfield.link.line import RATES, Line, Link, checked_rate
-from goldfield.link.loopback_bus import INTERFACE, LoopbackBus
+from goldfield.link.loopback_bus import LoopbackBus
 from goldfield.link.recordings import CandumpReader
 from goldfield.link.serial_bus import SerialBus
 from goldfield.link.traffic import CORRUPT, GARBLED, added, kind_of, no_traffic
 
-VIRTUAL = (INTERFACE, "udp_multicast", "virtual")
-"""Interfaces of CAN that have no bit rate: who is behind one has its own, and keeps it."""
 LOOK_S = 0.1
 """Longest wait of one look at a bus."""
 LOOKS = 20
@@ -87,7 +85,7 @@ class BusSource:
     sender_waits : bool
         Whether the sender goes no faster than it is read: what waits here is then not late.
     virtual : bool
-        Whether the link has no bit rate of its own, as a pseudo-terminal or an interface of `VIRTUAL`.
+        Whether the link has no bit rate of its own, as a pseudo-terminal or a virtual CAN (`can_channel.is_virtual`).
     """
 
     shared = False
@@ -115,7 +113,7 @@ class BusSource:
         self.listen_only = listen_only
         self.reconnects = reconnects
         self.sender_waits = isinstance(bus, SerialBus) and bus.sender_waits
-        self.virtual = self.sender_waits or (shared and name.partition(":")[0] in VIRTUAL)
+        self.virtual = self.sender_waits or (shared and is_virtual(*name.partition(":")[::2]))
         self._opens = opens
         self._bit_rate = bit_rate or RATES[Link.CAN if shared else Link.SERIAL][0]
         self._traffic = no_traffic()

@@ -11,6 +11,9 @@ from typing import Any
 
 import can
 
+from goldfield.link.line import VIRTUAL_OF_KERNEL
+from goldfield.link.loopback_bus import INTERFACE
+
 # What fails is raised and told in one line; python-can's own warnings are for programs that set logging up.
 logging.getLogger("can").addHandler(logging.NullHandler())
 
@@ -18,6 +21,8 @@ MULTICAST_ALL = {socket.AF_INET: (socket.IPPROTO_IP, 49), socket.AF_INET6: (sock
 """Level and number of Linux's options IP_MULTICAST_ALL and IPV6_MULTICAST_ALL, which Python does not name."""
 
 
+VIRTUAL = (INTERFACE, "udp_multicast", "virtual")
+"""Interfaces of CAN that have no bit rate: who is behind one has its own, and keeps it."""
 IP_S = 5.0
 """Longest wait for the program ip, s."""
 
@@ -56,6 +61,11 @@ def open_channel(interface: str, channel: str, *, listen_only: bool = False, **o
             own.setsockopt(*MULTICAST_ALL[family], 0)
         _drain(bus)
     return bus
+
+
+def is_virtual(interface: str, channel: str) -> bool:
+    """Tell whether a bus has no bit rate of its own."""
+    return interface in VIRTUAL or (interface == "socketcan" and channel.startswith(VIRTUAL_OF_KERNEL))
 
 
 def kernel_bit_rate(channel: str) -> int | None:

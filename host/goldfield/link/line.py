@@ -20,6 +20,8 @@ RATES = {Link.SERIAL: SERIAL_RATES, Link.CAN: CAN_RATES}
 """Bits a second at which boards speak, by the value of their parameter; they leave the works with the first."""
 PARAMETER = {Link.SERIAL: "serial_rate", Link.CAN: "can_rate"}
 """Names of the parameters that choose among them."""
+VIRTUAL_OF_KERNEL = ("vcan", "vxcan")
+"""How names of a kernel's CAN interfaces begin that have no bit rate, by custom: those of their kinds."""
 
 
 @dataclass(frozen=True)

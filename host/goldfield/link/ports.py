@@ -13,6 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from goldfield.link.line import VIRTUAL_OF_KERNEL
+
 DETECTION_S = 3.0
 """Longest wait for the vendors' CAN interfaces to name their devices, s."""
 
@@ -172,9 +174,8 @@ def can_interfaces(timeout_s: float = DETECTION_S, network: Path = NETWORK) -> l
 def _of_kernel(path: Path) -> CanInterface:
     """Return a kernel's interface, whose state is a file (``ARPHRD_CAN`` is type 280)."""
     name = path.name
-    virtual = name.startswith("vcan")
     up = _text(path / "operstate") in ("up", "unknown") and int(_text(path / "flags") or "0x1", 16) & 1
-    setting = "" if virtual else " type can bitrate 1000000"
+    setting = "" if name.startswith(VIRTUAL_OF_KERNEL) else " type can bitrate 1000000"
     problem = None if up else f"{name} is down: sudo ip link set {name} up{setting}"
     return CanInterface("socketcan", name, problem)
 

@@ -212,4 +212,16 @@ def test_a_kernel_that_tells_no_rate_is_believed_whatever_is_given(monkeypatch, 
     for given, expected in ((None, CAN[0]), (125_000, 125_000)):
         source = open_can("socketcan:vcan0", bit_rate=given)
         assert source.line.bit_rate == expected == kernel.opened[-1]
+        assert source.virtual
         source.close()
+
+
+@pytest.mark.parametrize(
+    ("name", "virtual"),
+    [("socketcan:can0", False), ("socketcan:vcan1", True), ("socketcan:vxcan0", True), ("slcan:/dev/vcan", False)],
+)
+def test_whose_boards_keep_their_rate(monkeypatch, name, virtual):
+    Kernel(monkeypatch, "[]")
+    source = open_can(name)
+    assert source.virtual == virtual
+    source.close()
