@@ -55,6 +55,14 @@ def test_no_instruction_of_the_latch_is_needed_alone() -> None:
     check(done)
 
 
+@pytest.mark.slow
+def test_no_instruction_that_looks_at_a_current_is_needed_alone() -> None:
+    """A branch of these, skipped, once ended the drive by a cause that is none, and none was told."""
+    done = outcomes(named("look1"), functions=("drive_current",))
+    assert len(done) >= 60
+    check(done)
+
+
 def test_no_instruction_that_asks_for_the_key_is_needed_alone() -> None:
     """Each of these, skipped, once let a stranger change the node's number or a parameter."""
     done = outcomes(named("locked"), functions=("access_granted", "parameter_requests_set"))

@@ -16,7 +16,7 @@ typedef enum {
     CAUSE_SUPPLY_LOW = 9,
     CAUSE_SUPPLY_HIGH = 10,
     CAUSE_CLOCK = 11,   /* The crystal stopped. */
-    CAUSE_WATCHDOG = 12 /* The watchdog had to reset the board too often while it drove. */
+    CAUSE_WATCHDOG = 12 /* The watchdog had to reset the board too often while it drove, or the processor erred. */
 } cause_t;
 
 #endif

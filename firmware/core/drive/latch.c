@@ -49,7 +49,8 @@ void latch_start(latch_t *latch, uint32_t *kept, bool watchdog, uint64_t now_us)
 
 void latch_set(latch_t *latch, cause_t cause) {
     if (latch->cause == CAUSE_NONE) {
-        latch->cause = (uint8_t)cause;
+        const bool known = cause > CAUSE_NONE && cause <= CAUSE_WATCHDOG;
+        latch->cause = (uint8_t)(known ? cause : CAUSE_WATCHDOG);
         latch->on = false;
         keep(latch);
     }

@@ -48,7 +48,8 @@ typedef struct {
  * watchdog tells whether the watchdog caused the reset. */
 void latch_start(latch_t *latch, uint32_t *kept, bool watchdog, uint64_t now_us);
 
-/* The drive is switched off for this reason. */
+/* The drive is switched off for this reason. One that is none, as a processor that errs may hand on, is told as
+ * CAUSE_WATCHDOG: more bits than a cause has would neither be told nor be kept. */
 void latch_set(latch_t *latch, cause_t cause);
 
 /* The bridge is on, or off. */

@@ -23,7 +23,7 @@ CAUSES = {
     "supply_low": "the supply was below the parameter supply_low",
     "supply_high": "the supply was above the parameter supply_high",
     "clock": "the crystal stopped",
-    "watchdog": "the firmware hung again and again while it drove",
+    "watchdog": "the firmware hung again and again while it drove, or its processor erred",
 }
 """Why a drive was switched off, by the names that the DBC gives."""
 

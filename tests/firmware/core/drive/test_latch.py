@@ -53,6 +53,16 @@ def test_the_first_cause_stays_until_it_is_cleared(memory):
     assert memory.may_drive(3600 * S)
 
 
+@pytest.mark.parametrize(("given", "kept"), [(12, 12), (13, WATCHDOG), (0x30, WATCHDOG), (NONE, WATCHDOG)])
+def test_a_cause_that_is_none_is_told_as_the_processors(memory, given, kept):
+    """One with more bits than a cause has was told as none, and its other bits were kept as trips."""
+    memory.trip(given, 0)
+    assert memory.latch.cause == kept
+    memory.reset(watchdog=False)
+    assert (memory.latch.cause, memory.latch.trips) == (kept, 1)
+    assert not memory.may_drive(3600 * S)
+
+
 def test_each_trip_in_a_row_waits_twice_as_long(memory):
     now = 0
     for wait in (1, 2, 4, 8):
