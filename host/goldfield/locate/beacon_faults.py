@@ -114,6 +114,8 @@ def _place(
     size = float(np.linalg.norm(target))
     for _ in range(STEPS):
         field, gradient = (part[..., row] for part in kernel.evaluate(model, position))
+        if not np.isfinite(gradient).all():
+            return None  # on the wire
         step = np.linalg.lstsq(gradient, target - field, rcond=1e-6)[0]
         length = float(np.linalg.norm(step))
         nearest = float(np.linalg.norm(position - model.centre_m[row]))

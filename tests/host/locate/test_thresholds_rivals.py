@@ -228,7 +228,7 @@ def named(case, value):
     return beacon_finding(case.model, measurements, exact, 3, "b3")
 
 
-@pytest.mark.parametrize(("share", "admitted"), [(0.98, True), (1.02, False)])
+@pytest.mark.parametrize(("share", "admitted"), [(0.995, True), (1.005, False)])
 @pytest.mark.parametrize(
     ("factor", "kind", "freedom"),
     [(0.0, Explanation.DEAD, 3), (-1.0, Explanation.REVERSED, 3), (1.5, Explanation.CURRENT, 2)],
