@@ -19,9 +19,9 @@ MANY = 100
 """From so many numbers on SciPy is worth its import: it takes a hundredth of the time for each."""
 
 STEPS = 100
-"""Most steps to a quantile; from where the search begins fewer than twenty are needed."""
-EXACT = 4e-16
-"""A step that is smaller than this part of the quantile ends the search: it is rounding."""
+"""Most steps to a quantile: a dozen are needed, and more only to those near 0, which halving leads to."""
+LAST = 1e-9
+"""A step that is no larger than this part of the quantile is the last: the one after it goes with its square."""
 
 
 def gammaincc(shape: ArrayLike, value: ArrayLike) -> FloatArray:
@@ -85,9 +85,8 @@ def _many(shape: FloatArray, value: FloatArray) -> FloatArray:
     """Return what `gammaincc` returns, by SciPy."""
     from scipy import special  # heavy: not before there is much to compute
 
-    twice = 2.0 * shape
-    for freedom in twice[~((twice >= 1.0) & (twice == np.floor(twice)))][:1]:
-        _whole(float(freedom))  # which says what is wrong with it
+    for freedom in np.unique(2.0 * shape).tolist():
+        _whole(freedom)
     return np.asarray(special.gammaincc(shape, value))
 
 
@@ -123,10 +122,10 @@ def _quantile(freedom: int, probability: float) -> float:
     for _ in range(STEPS):
         tail = _tail(freedom, 0.5 * value)
         low, high = (value, high) if tail > probability else (low, value)
-        density = math.exp((0.5 * freedom - 1.0) * math.log(value) - 0.5 * value - scale)
-        step = math.log(tail / probability) * tail / density if tail > 0.0 and density > 0.0 else -math.inf
-        if abs(step) <= EXACT * value:
-            break
+        density = (0.5 * freedom - 1.0) * math.log(value) - 0.5 * value - scale  # its logarithm
+        step = math.log(tail / probability) * math.exp(math.log(tail) - density) if tail > 0.0 else -math.inf
         ahead = value + step
-        value = ahead if low < ahead < high else 0.5 * (low + min(high, 3.0 * value))
+        if abs(step) <= LAST * value:
+            return ahead
+        value = ahead if low < ahead < high else 0.5 * (low + high)  # only beyond the quantile, where both are known
     return value
