@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,8 @@ from goldfield.field import FieldModel
 from goldfield.locate import Locator, images
 from goldfield.locate.constellation import FLAT_REST, RIVAL_COST, Constellation
 from goldfield.locate.fault_statistics import fault_statistics
-from goldfield.locate.fit import Measurements
+from goldfield.locate.fit import Fit, Measurements
+from goldfield.locate.mirror import Mirror
 from goldfield.site import HalfSpace
 from goldfield.types import Status
 from tests.bench import locate_trials as bench
@@ -156,3 +158,64 @@ def test_the_images_of_all_beacons_are_fitted_in_one_step(monkeypatch, at_once, 
     assert distance_m == pytest.approx(expected_m, rel=1e-4)
     assert (distance_m[:, 5] > 4.0).all()
     assert (np.delete(distance_m, 5, axis=1) == 0.0).any()
+
+
+HERE_M = np.array([[1.0, 0.9, 0.8], [0.5, 0.4, 1.5]])
+BELOW_M = HERE_M * [1.0, 1.0, -1.0]
+
+
+def fit_at(position_m, cost):
+    return Fit(position_m, np.stack([np.eye(3)] * 2), np.array(cost), np.stack([np.eye(6)] * 2), np.ones(2, dtype=bool))
+
+
+def distances(monkeypatch, *, exact, refined, coils=5, outside=(False, False)):
+    """What is told of two poses whose images across the floor fit all coils but the third, by what the fit is then."""
+    across = np.diag([1.0, 1.0, -1.0])
+    mirror = Mirror(np.zeros(3), across, -across, exact)
+    monkeypatch.setattr(images, "_concerned", lambda *_: [(2, mirror, np.ones(2, dtype=bool))])
+    lacking = []
+
+    def refine(measurements, *_):
+        lacking.append(np.isnan(measurements.field_T).all(axis=2).tolist())
+        return refined
+
+    constellation = SimpleNamespace(model=[None] * coils, inside=lambda position_m: ~np.array(outside), refine=refine)
+    measurements = Measurements(np.ones((2, coils, 3)), np.ones((2, coils)))
+    drop = np.full((2, coils), 100.0)
+    drop[:, 2] = [8.0, 12.0]
+    found = images.image_distance_m(
+        constellation, measurements, fit_at(HERE_M, [20.0, 30.0]), SimpleNamespace(drop=drop)
+    )
+    assert not found[:, [i for i in range(coils) if i != 2]].any()
+    assert lacking == ([] if exact or coils < 4 else [[[i == 2 for i in range(coils)]] * 2])
+    return found[:, 2]
+
+
+@pytest.mark.parametrize("outside", [(False, False), (True, False)])
+def test_an_exact_image_fits_without_a_fit(monkeypatch, outside):
+    found = distances(monkeypatch, exact=True, refined=None, outside=outside)
+    np.testing.assert_allclose(found, np.where(outside, 0.0, [1.6, 3.0]))
+
+
+@pytest.mark.parametrize(("more", "told"), [(0.99 * RIVAL_COST, True), (1.01 * RIVAL_COST, False)])
+@pytest.mark.parametrize("outside", [(False, False), (True, False)])
+def test_another_image_must_fit_the_others_nearly_as_well_as_the_pose(monkeypatch, more, told, outside):
+    """Without the third coil the poses cost 12 and 18."""
+    refined = fit_at(BELOW_M + 0.1, [12.0 + more, 18.0 + more])
+    found = distances(monkeypatch, exact=False, refined=refined, outside=outside)
+    apart = np.linalg.norm(BELOW_M + 0.1 - HERE_M, axis=1)
+    np.testing.assert_allclose(found, np.where(outside, 0.0, apart) if told else 0.0)
+
+
+@pytest.mark.parametrize(("way", "told"), [(0.45, True), (0.55, False), (1.0, False)])
+def test_an_image_whose_fit_comes_back_to_the_pose_is_none(monkeypatch, way, told):
+    """It has come back where it is nearer to the pose than to the image: each is a rival of its own elsewhere."""
+    back = BELOW_M + way * (HERE_M - BELOW_M)
+    found = distances(monkeypatch, exact=False, refined=fit_at(back, [12.0, 18.0]))
+    np.testing.assert_allclose(found, (1.0 - way) * np.array([1.6, 3.0]) if told else 0.0)
+
+
+@pytest.mark.parametrize(("coils", "told"), [(3, False), (4, True)])
+def test_without_one_of_three_coils_an_image_says_nothing(monkeypatch, coils, told):
+    found = distances(monkeypatch, exact=False, refined=fit_at(BELOW_M, [12.0, 18.0]), coils=coils)
+    np.testing.assert_allclose(found, [1.6, 3.0] if told else 0.0)
