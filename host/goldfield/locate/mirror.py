@@ -113,7 +113,7 @@ def _centre(model: FieldModel, middle: FloatArray, offset: FloatArray, flat: flo
     """Return the map to the other side of the middle of all coils."""
     extent = float(np.linalg.norm(offset, axis=1).max())
     exact = extent <= EXACT * model.reach_m.min() and not len(model.wire_points_m)
-    return Mirror(middle, -np.eye(3), np.eye(3), exact, 0.0 if exact else extent / flat)
+    return Mirror(middle, -np.eye(3), np.eye(3), exact, extent / flat)
 
 
 def _plane(model: FieldModel, middle: FloatArray, offset: FloatArray, flat: float) -> Mirror | None:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from goldfield.field import FieldModel
 from goldfield.locate import Locator
 from goldfield.locate.constellation import Constellation
-from goldfield.locate.fit import Measurements, fit_pose
+from goldfield.locate.fit import Fit, Measurements, fit_pose
 from goldfield.locate.mirror import find_mirrors
+from goldfield.site import Beacon
 from goldfield.types import Status
 from tests.bench import locate_trials as bench
 from tests.bench.integrity_sites import told
@@ -64,6 +66,100 @@ def test_coils_within_a_millionth_of_their_size_have_an_exact_antipode(share, ex
 def test_an_antipode_is_tried_from_four_times_the_extent_on(distance_m, tried):
     (mirror,) = find_mirrors(triad(0.2))
     assert mirror.concerns(np.array([[0.0, 0.6, 0.8]]) * distance_m)[0] == tried
+
+
+OFF_M = np.array([3.0, -2.0, 5.0])
+NORMAL = np.array([2.0, -1.0, 2.0]) / 3.0
+
+
+def in_a_plane():
+    """Coils that point both ways across a plane, which is askew and far from the origin."""
+    across = np.linalg.svd(NORMAL[None])[2][1:]
+    places = OFF_M + np.array([[1.0, 0.2], [-0.9, 0.4], [0.1, -1.1], [0.3, 0.8]]) @ across
+    return FieldModel([bench.loop_beacon(i, place, NORMAL * (-1) ** i) for i, place in enumerate(places)])
+
+
+def at_a_point():
+    """Coils of all axes around one point."""
+    return FieldModel([bench.loop_beacon(i, OFF_M, axis) for i, axis in enumerate(np.eye(3))])
+
+
+@pytest.mark.parametrize("make", [in_a_plane, at_a_point])
+def test_an_exact_image_has_the_same_fields(make):
+    model, rng = make(), np.random.default_rng(11)
+    mirror = find_mirrors(model)[0]
+    assert mirror.exact
+    place, attitude = OFF_M + rng.normal(size=(5, 3)), Rotation.random(5, rng=rng).as_matrix()
+    field = np.einsum("enk,eki->eni", model.field(place), attitude)
+    measurements = Measurements(field + 1e-9 * rng.normal(size=field.shape), np.full(field.shape[:2], 1e-9))
+    fit = fit_pose(model, measurements, place, attitude, iterations=0)
+    image = mirror.image(fit)
+    assert np.linalg.norm(image.position_m - place, axis=1).min() > 0.1
+    again = fit_pose(model, measurements, image.position_m, image.rotation, iterations=0)
+    np.testing.assert_allclose(np.linalg.det(image.rotation), 1.0)
+    np.testing.assert_allclose(image.cost, again.cost, rtol=1e-6)
+    size = np.sqrt(np.einsum("ekk->ek", again.information))
+    relative = (image.information - again.information) / size[:, :, None] / size[:, None, :]
+    np.testing.assert_allclose(relative, 0.0, atol=1e-7)
+
+
+def test_coils_in_a_plane_have_a_third_image_which_is_that_of_the_other_two():
+    plane, centre, both = find_mirrors(in_a_plane())
+    rng = np.random.default_rng(12)
+    place, attitude = OFF_M + rng.normal(size=(5, 3)), Rotation.random(5, rng=rng).as_matrix()
+    nothing = np.zeros(5), np.stack([np.eye(6)] * 5), np.ones(5, dtype=bool)
+    fit = Fit(place, attitude, *nothing)
+    there = centre.image(plane.image(fit))
+    np.testing.assert_allclose(both.image(fit).position_m, there.position_m, atol=1e-12)
+    np.testing.assert_allclose(both.image(fit).rotation, there.rotation, atol=1e-12)
+    assert (both.exact, both.least_m) == (False, centre.least_m)
+
+
+def test_parallel_coils_at_a_point_have_a_ring_of_poses_and_no_image_in_their_plane():
+    model = FieldModel([bench.loop_beacon(i, OFF_M, NORMAL, radius=0.1 + 0.1 * i) for i in range(3)])
+    (mirror,) = find_mirrors(model)
+    np.testing.assert_array_equal(mirror.reflection, -np.eye(3))
+    assert mirror.exact
+
+
+def test_an_antipode_is_on_the_other_side_of_the_middle_wherever_that_is():
+    places = OFF_M + np.array([[0.2, 0, 0], [-0.2, 0, 0], [0, 0, 0]])
+    (mirror,) = find_mirrors(FieldModel([bench.loop_beacon(i, places[i], np.eye(3)[i]) for i in range(3)]))
+    assert not mirror.exact
+    assert mirror.concerns(OFF_M + np.array([[0.0, 0.0, 0.79], [0.0, 0.0, 0.81]])).tolist() == [False, True]
+
+
+def test_of_coils_in_a_plane_that_all_lean_alike_the_plane_is_half_way():
+    """The places and the axes have as much to say."""
+    lean = 0.4
+    axis = [lean, 0.0, float(np.sqrt(1.0 - lean**2))]
+    places = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0)]
+    mirrors = find_mirrors(FieldModel([bench.loop_beacon(i, place, axis) for i, place in enumerate(places)]))
+    assert len(mirrors) == 3
+    half = 0.5 * np.arcsin(lean)
+    normal = np.array([np.sin(half), 0.0, np.cos(half)])
+    np.testing.assert_allclose(mirrors[0].reflection, np.eye(3) - 2.0 * np.outer(normal, normal), atol=1e-9)
+
+
+def coil_of_wire(index, place, up_m):
+    """A square of wire whose corners are in turn above and below its plane."""
+    corners = np.array([[1, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0], [1, 1, 0]]) * 0.05
+    points = place + corners + np.outer([1, -1, 1, -1, 1], [0.0, 0.0, up_m])
+    return Beacon(f"w{index}", place, np.array([0.0, 0.0, 1.0]), 1.0, None, points, 1.0, index + 2)
+
+
+@pytest.mark.parametrize(("share", "exact"), [(0.9, True), (1.1, False)])
+def test_an_image_is_exact_for_wires_in_the_plane_to_a_millionth_of_its_extent(share, exact):
+    """Four coils at the corners of a square of 3 m, one of them bent; their plane is not that of the origin."""
+    corners = OFF_M + 1.5 * np.array([[1.0, 1.0, 0.0], [-1.0, 1.0, 0.0], [-1.0, -1.0, 0.0], [1.0, -1.0, 0.0]])
+    coils = [coil_of_wire(i, place, share * 3e-6 * (i == 1)) for i, place in enumerate(corners)]
+    assert find_mirrors(FieldModel(coils))[0].exact == exact
+
+
+def test_wires_at_a_point_have_no_exact_antipode():
+    """A loop's field is even; that of any wire need not be."""
+    mirrors = find_mirrors(FieldModel([coil_of_wire(i, OFF_M, 0.01) for i in range(3)]))
+    assert not any(mirror.exact for mirror in mirrors)
 
 
 @pytest.mark.parametrize("signs", [(1, 1, 1, 1, 1, 1), (1, -1, 1, -1, 1, -1)])
