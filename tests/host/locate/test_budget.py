@@ -115,3 +115,6 @@ def test_a_large_site_may_always_be_searched_once():
     spent.spend(1, 8)
     assert spent.spent
     assert spent.evaluations(8) == 0
+    nearly = Budget(8)
+    nearly.spend(budget.MOST_FIELDS - 1, 1)
+    assert not nearly.spent
