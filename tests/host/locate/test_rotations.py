@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from goldfield.locate.rotations import matrix_of, quaternion_of, vector_of
+from goldfield.locate.rotations import matrix_of, orthonormal, quaternion_of, quaternions_of, skew, turned, vector_of
 
 
 def rotations():
@@ -36,3 +36,36 @@ def test_vectors_of_any_rotation():
         assert np.linalg.norm(found) < np.pi + 1e-12
         np.testing.assert_allclose(found, turn.as_rotvec(), rtol=0, atol=1e-14 if turn.magnitude() < 3.14 else 7.0)
         np.testing.assert_allclose(Rotation.from_rotvec(found).as_matrix(), turn.as_matrix(), rtol=0, atol=3e-15)
+
+
+def test_many_quaternions_are_each_as_alone():
+    turns = rotations()
+    found = quaternions_of(turns.as_matrix())
+    np.testing.assert_array_equal(found, [quaternion_of(turn.as_matrix()) for turn in turns])
+
+
+def test_the_matrix_of_a_cross_product():
+    rng = np.random.default_rng(2)
+    first, second = rng.normal(size=(2, 5, 4, 3))
+    np.testing.assert_allclose((skew(first) @ second[..., None])[..., 0], np.cross(first, second), atol=1e-15)
+
+
+def test_turns_by_any_angle():
+    """Also about where a series takes the place of the sine."""
+    rng = np.random.default_rng(3)
+    angle = np.concatenate([np.geomspace(1e-12, 3.0, 60), 1e-4 * np.linspace(0.9, 1.2, 20), [0.0]])
+    vector = rng.normal(size=(len(angle), 3))
+    vector *= (angle / np.linalg.norm(vector, axis=1))[:, None]
+    before = Rotation.random(len(angle), rng=rng)
+    expected = (Rotation.from_rotvec(vector) * before).as_matrix()
+    np.testing.assert_allclose(turned(before.as_matrix(), vector), expected, rtol=0, atol=1e-15)
+
+
+def test_rounding_is_removed_from_rotations():
+    """One of Newton's steps leaves the square of what is off, and does not turn the rotation."""
+    rng = np.random.default_rng(4)
+    true = Rotation.random(20, rng=rng).as_matrix()
+    off = rng.normal(size=(20, 3, 3))
+    stretched = true + 1e-5 * true @ (off + off.swapaxes(1, 2))
+    np.testing.assert_allclose(orthonormal(stretched), true, rtol=0, atol=1e-8)
+    assert np.abs(stretched - true).max() > 1e-5
