@@ -85,7 +85,7 @@ def test_ranges_that_agree_lead_to_their_place(weighted):
 
 @pytest.mark.parametrize("weighted", [True, False])
 def test_a_range_counts_by_its_relative_error_or_as_all_do(weighted):
-    """Of a beacon whose magnitude is as good as noise hardly anything is believed, unless all count alike.
+    """A beacon whose magnitude is as good as noise is hardly believed, unless all count alike.
 
     The patent's sum of squares is minimised by SciPy; ours has an error of .12 of each range and that of the noise.
     """
@@ -108,7 +108,7 @@ def test_a_range_counts_by_its_relative_error_or_as_all_do(weighted):
 
 
 def test_logarithms_of_true_magnitudes_lead_to_the_true_place():
-    """Of some of the beacons, and with any noise."""
+    """Those of some of the beacons suffice, with any noise."""
     model, place = scattered()
     magnitude = np.linalg.norm(model.field(place), axis=2)
     known = np.ones(magnitude.shape, dtype=bool)
