@@ -9,10 +9,11 @@ from scipy.spatial.transform import Rotation
 from goldfield.errors import UserError
 from goldfield.field import FieldModel
 from goldfield.locate import Locator, kernel
-from goldfield.locate.fit import sensor_jacobian
+from goldfield.locate.fit import Measurements, sensor_jacobian
 from goldfield.locate.rotations import turned
 from goldfield.locate.sensor_axes import levers_of
-from goldfield.locate.uncertainty import cramer_rao_bound
+from goldfield.locate.site_errors import errors_of
+from goldfield.locate.uncertainty import cramer_rao_bound, second_order_covariance
 from goldfield.sensor.location import location
 from goldfield.sensor.options import Method
 from goldfield.site import SensorSite, load
@@ -71,6 +72,25 @@ def test_jacobian_and_fields_of_a_sensor_with_levers(axes):
         )
         slope = (ahead - behind) / 2e-6
         np.testing.assert_allclose(jacobian[:, k], slope, rtol=1e-5, atol=1e-6 * np.abs(slope).max())
+
+
+def test_the_covariance_is_that_of_what_is_read_at_the_levers():
+    """Where the noise is small: the inverse information by differences of magpylib's fields, read at each place."""
+    rng, site = np.random.default_rng(5), with_levers(built.mixed_cube())
+    position, rotation = poses_at(rng, site, 3)
+    model, sigma = FieldModel(site.beacons), 1e-12
+    measurements = Measurements(read(site, position, rotation), np.full((3, 8), sigma))
+    measurements = measurements.with_errors(model, errors_of(site.beacons, site.sensor))
+    found = second_order_covariance(model, measurements, position, rotation)
+    slope = []
+    for step in np.eye(6) * 1e-5:
+        ends = [read(site, position + s[:3], turned(rotation, np.tile(s[3:], (3, 1)))) for s in (step, -step)]
+        slope.append((ends[0] - ends[1]).reshape(3, -1) / 2e-5 / sigma)
+    slope = np.stack(slope, axis=1)
+    expected = np.linalg.inv(slope @ slope.swapaxes(1, 2))
+    size = np.sqrt(np.einsum("ekk->ek", expected))
+    both = size[:, :, None] * size[:, None, :]
+    np.testing.assert_allclose(found / both, expected / both, atol=1e-4)
 
 
 @pytest.mark.parametrize("library", [True, False])

@@ -14,9 +14,10 @@ from goldfield.locate.constellation import Constellation
 from goldfield.locate.fault_statistics import fault_statistics
 from goldfield.locate.fit import Measurements, fit_pose
 from goldfield.locate.protection import protection_level
-from goldfield.locate.site_errors import errors_of
+from goldfield.locate.sensor_axes import levers_of
+from goldfield.locate.site_errors import SiteErrors, errors_of
 from goldfield.locate.uncertainty import cramer_rao_bound, dilution_of_precision, second_order_covariance
-from goldfield.site import Survey
+from goldfield.site import SensorSite, Survey
 from goldfield.types import Status
 from tests.bench import locate_trials as bench
 from tests.host.locate import built_sites as built
@@ -235,3 +236,66 @@ def test_the_kernel_and_numpy_agree(monkeypatch, spoiled, sensor):
     both = scale[:, :, None] * scale[:, None, :]
     np.testing.assert_allclose(covariance / both, slow_covariance / both, atol=1e-5)
     np.testing.assert_allclose(level, slow_level, rtol=1e-6)
+
+
+def isotropic(magnitude_T, moment_radius=(1.0, 1e-3), levers=None, **deviations):
+    """The standard deviation by errors of one coil of a moment, A m^2, and a radius, m."""
+    moment, radius = moment_radius
+    coil = bench.loop_beacon(0, (0, 0, 0), turns=1.0, radius=radius, current=moment / (np.pi * radius**2))
+    each = {"position_sd_m": 0.0, "axis_sd_rad": 0.0, "current_sd": 0.0}
+    each = {name: np.array([deviations.get(name, value)]) for name, value in each.items()}
+    sensor = deviations.get("gain_sd", 0.0), deviations.get("sensor_axis_sd_rad", 0.0)
+    errors = SiteErrors(*each.values(), *sensor, levers=levers)
+    return errors.isotropic(FieldModel([coil]), np.atleast_2d(magnitude_T))
+
+
+@pytest.mark.parametrize(
+    ("name", "share"),
+    [
+        ("current_sd", 1.0 / np.sqrt(3.0)),  # along the field
+        ("gain_sd", 1.0 / np.sqrt(3.0)),  # of all axes, in the mean over directions
+        ("axis_sd_rad", 1.0),
+        ("sensor_axis_sd_rad", np.sqrt(2.0 / 3.0)),  # across the field
+    ],
+)
+def test_a_search_takes_errors_for_a_share_of_the_magnitude(name, share):
+    magnitude = np.array([1e-9, 1e-6])
+    found = isotropic(magnitude[:, None], **{name: 0.01})
+    np.testing.assert_allclose(found[:, 0], 0.01 * share * magnitude)
+
+
+def test_a_search_takes_a_shift_for_what_it_does_in_any_direction_nearly():
+    """The root mean square of the gradient's components of a dipole, within the third that the direction is worth."""
+    rng = np.random.default_rng(21)
+    way = rng.normal(size=(200, 3))
+    way *= 3.0 / np.linalg.norm(way, axis=1, keepdims=True)
+    model = FieldModel([bench.loop_beacon(0, (0, 0, 0), turns=1.0, radius=1e-3, current=1.0 / (np.pi * 1e-6))])
+    gradient = np.stack([(model.field(way + s) - model.field(way - s))[:, 0] / 2e-4 for s in np.eye(3) * 1e-4])
+    real = 0.01 * np.sqrt((gradient**2).sum(axis=(0, 2)) / 3.0)
+    found = isotropic(np.linalg.norm(model.field(way)[:, 0], axis=1)[:, None], position_sd_m=0.01)[:, 0]
+    assert (found / real).min() > 0.8
+    assert (found / real).max() < 1.25
+    assert (found / real).mean() == pytest.approx(1.0, abs=0.04)
+
+
+def test_a_lever_is_a_shift_along_any_axis_and_errors_add_up_by_squares():
+    lever = levers_of(SensorSite(1e-7, lever_m=0.003 * np.sqrt(3.0) * np.eye(3)))
+    magnitude = np.array([[1e-9], [1e-8]])
+    shifted = isotropic(magnitude, position_sd_m=0.004)
+    np.testing.assert_allclose(isotropic(magnitude, levers=lever), 0.75 * shifted)
+    np.testing.assert_allclose(isotropic(magnitude, position_sd_m=0.004, levers=lever), 1.25 * shifted)
+    parts = ["position_sd_m", "current_sd", "gain_sd", "axis_sd_rad", "sensor_axis_sd_rad"]
+    each = [isotropic(magnitude, **{name: 0.01}) for name in parts]
+    together = isotropic(magnitude, **dict.fromkeys(parts, 0.01))
+    np.testing.assert_allclose(together, np.sqrt(np.square(each).sum(axis=0)))
+
+
+def test_no_field_is_so_strong_that_its_coil_is_nearer_than_its_reach():
+    """And a field of nothing has no error, without a complaint."""
+    reach = FieldModel([bench.loop_beacon(0, (0, 0, 0), turns=1.0, radius=0.1, current=1.0)]).reach_m[0]
+    moment = np.pi * 0.01
+    near = 1.5e-7 * moment / reach**3
+    found = isotropic(np.array([[0.5 * near], [near], [8.0 * near], [0.0]]), (moment, 0.1), position_sd_m=0.01)
+    np.testing.assert_allclose(found[2] / found[1], 8.0)
+    np.testing.assert_allclose(found[0] / found[1], 0.5 ** (4.0 / 3.0))
+    assert found[3] == 0.0
