@@ -299,3 +299,19 @@ def test_no_field_is_so_strong_that_its_coil_is_nearer_than_its_reach():
     np.testing.assert_allclose(found[2] / found[1], 8.0)
     np.testing.assert_allclose(found[0] / found[1], 0.5 ** (4.0 / 3.0))
     assert found[3] == 0.0
+
+
+@pytest.mark.parametrize(
+    "sensor",
+    [
+        {"gain_sd": 0.01},
+        {"axis_sd_rad": 0.01},
+        {"lever_m": 0.01 * np.eye(3)},
+        {"axes": np.diag([1.0, 2.0, 1.0])},
+    ],
+    ids=lambda sensor: next(iter(sensor)),
+)
+def test_each_thing_that_is_said_of_a_sensor_counts_on_an_exact_site(sensor):
+    site = built.mixed_cube()
+    assert errors_of(site.beacons, site.sensor) is None
+    assert errors_of(site.beacons, SensorSite(1e-7, **sensor)) is not None

@@ -192,8 +192,16 @@ def test_the_bound_of_a_component_that_is_not_measured_and_of_one_noise():
     np.testing.assert_allclose(
         dilution_of_precision(site, position), np.sqrt(np.einsum("ekk->e", one[:, :3, :3])) / 3e-9
     )
+    declared = built.declared(site, built.DECLARED, 0.01, 0.02)
+    np.testing.assert_array_equal(dilution_of_precision(declared, position), dilution_of_precision(site, position))
     sigma = np.full((2, 8, 3), 3e-9)
     sigma[:, 4:] = np.inf
     fewer = cramer_rao_bound(site, position, sigma_T=sigma)
     half = replace(site, beacons=site.beacons[:4])
     np.testing.assert_allclose(fewer, cramer_rao_bound(half, position, sigma_T=np.array(3e-9)), rtol=1e-9)
+
+
+def test_axes_of_twice_the_gain_have_half_the_noise():
+    site, position = built.mixed_cube(2e-7), np.array([[0.9, 1.1, 0.8]])
+    louder = replace(site, sensor=replace(site.sensor, axes=2.0 * np.eye(3)))
+    np.testing.assert_allclose(cramer_rao_bound(louder, position), 0.25 * cramer_rao_bound(site, position), rtol=1e-9)
