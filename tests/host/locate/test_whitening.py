@@ -62,7 +62,7 @@ class Case:
         return np.stack(columns, axis=1)
 
     def covariance(self, e):
-        """Of the components of all beacons, x first: of the site's and the sensor's errors and of the noise."""
+        """What the site's and the sensor's errors and the noise do to the components of all beacons, x first."""
         known = np.isfinite(self.noise[e])
         total = np.zeros((24, 24))
         for i in range(8):
