@@ -27,7 +27,7 @@ def test_components_are_those_that_the_axes_read(axes, ratio):
     readings = np.full((4, 5, 3), np.nan)
     readings[..., :count] = field @ axes.T
     found = undo.components(readings)
-    assert undo.count == count
+    assert (undo.count, undo.inverse.shape) == (count, (3, 3))
     np.testing.assert_allclose(found[..., :count], field[..., :count], atol=1e-12)
     assert np.isnan(found[..., count:]).all()
 
