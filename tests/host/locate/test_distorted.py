@@ -126,3 +126,10 @@ def test_the_best_are_those_of_the_lowest_costs_of_all_or_of_the_first():
         assert found.position_m[:, 0].tolist() == expected
         assert found.rotation[:, 0, 0].tolist() == expected
         assert found.distortion[:, 0, 0].tolist() == expected
+
+
+def test_distortions_that_look_alike_share_what_the_fields_tell(quick):
+    case = Case(1.3 * np.eye(3))
+    found = case.fit(basis=np.stack([np.eye(3), np.eye(3)]))
+    np.testing.assert_allclose(found.distortion, np.tile(1.3 * np.eye(3), (3, 1, 1)), atol=1e-4)
+    np.testing.assert_allclose(found.cost, 0.0, atol=1e-2)

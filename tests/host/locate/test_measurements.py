@@ -76,6 +76,7 @@ def test_parts_of_what_was_measured():
     budget = Budget(4)
     some = measurements(errors, budget)
     assert some.take(np.arange(2)) is some
+    np.testing.assert_array_equal(some.take(np.array([1, 0])).sigma_T, some.sigma_T[::-1])
     for found, rows, beacons in (
         (some.take(np.array([1, 1, 0])), [1, 1, 0], range(4)),
         (some.take(np.array([1])), [1], range(4)),
@@ -147,6 +148,7 @@ CASES = {
     "a component and a beacon missing": {"missing": [(5, 2), (3,)]},
     "a component missing, model error": {"missing": [(5, 2)], "error": 0.05},
     "errors of the site": {"survey": True},
+    "errors of the site, model error": {"survey": True, "error": 0.05},
     "levers": {"levers": True},
 }
 
