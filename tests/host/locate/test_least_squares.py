@@ -118,3 +118,14 @@ def test_a_problem_that_no_step_improves_ends_stuck():
     assert end.state[0].tolist() == [[1.0]]
     assert not end.converged.any()
     assert 10 < end.evaluations < 30
+
+
+def test_units_of_the_unknowns_do_not_matter():
+    def took(unit):
+        problems = Problems(
+            lambda x, _: -np.array([10.0 * (x[1] / unit - x[0] ** 2), 1.0 - x[0]]),
+            lambda x, _: np.array([[-20.0 * x[0], 10.0 / unit], [-1.0, 0.0]]),
+        )
+        return minimise(problems, move, (np.array([[-1.2, unit]]),)).evaluations
+
+    assert took(1.0) == took(1e-3) == took(1e3)
