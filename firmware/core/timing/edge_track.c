@@ -72,10 +72,9 @@ void edge_track_start(edge_track_t *track, const edge_fit_t *fit, float time_tic
 }
 
 void edge_track_known(edge_track_t *track, float time_ticks, float time_deviation, float rate_deviation) {
-    *track = (edge_track_t){.time_ticks = time_ticks, .rise_ticks = RISE_MAX};
+    *track = (edge_track_t){.time_ticks = time_ticks};
     track->covariance[0][0] = time_deviation * time_deviation + EDGE_VARIANCE;
     track->covariance[1][1] = rate_deviation * rate_deviation;
-    track->covariance[2][2] = RISE_MAX * RISE_MAX;
 }
 
 void edge_track_rise(edge_track_t *track, const edge_burst_t *burst, const edge_look_t looks[2]) {
@@ -111,10 +110,10 @@ bool edge_track_blind(const edge_track_t *track, const edge_burst_t *burst, cons
     return share < 2.0f * deviation && share < expected - 3.0f * deviation;
 }
 
-/* Iterates Gauss and Newton from x. Returns chi squared. */
-static float iterate(edge_track_t *track, const edge_burst_t *burst, const edge_look_t looks[2], float x[3]) {
+/* Iterates Gauss and Newton from a time. Returns chi squared. */
+static float iterate(edge_track_t *track, const edge_burst_t *burst, const edge_look_t looks[2], float time) {
     const float before[3] = {track->time_ticks, track->rate, track->rise_ticks};
-    float known[3][3], misfit = 0.0f;
+    float known[3][3], x[3] = {time, track->rate, track->rise_ticks}, misfit = 0.0f;
     normal3_invert((const float(*)[3])track->covariance, known);
     normal3_t normal;
     for (uint32_t i = 0; i <= ITERATIONS; i++) {
@@ -153,15 +152,11 @@ static float iterate(edge_track_t *track, const edge_burst_t *burst, const edge_
 
 void edge_track_update(edge_track_t *track, const edge_burst_t *burst, const edge_look_t looks[2]) {
     const edge_track_t before = *track;
-    float x[3] = {track->time_ticks, track->rate, track->rise_ticks};
-    if (iterate(track, burst, looks, x) < MISFIT) {
+    if (iterate(track, burst, looks, before.time_ticks) < MISFIT) {
         return;
     }
     *track = before;
     const float time = time_of_contrast(burst, 0.5f * (looks[0].share + looks[1].share) * track->rise_ticks);
     track->covariance[0][0] += (time - before.time_ticks) * (time - before.time_ticks);
-    x[0] = time;
-    x[1] = before.rate;
-    x[2] = before.rise_ticks;
-    (void)iterate(track, burst, looks, x);
+    (void)iterate(track, burst, looks, time);
 }

@@ -4,9 +4,10 @@
  * Calls, in the order they are made
  *   1. edge_track_start   after a search and the jump to its edge; edge_track_known with a phase from elsewhere.
  *   2. edge_track_move    to the middle of each record.
- *   3. edge_track_blind   with the two looks of the record, to see whether there is a ramp at all.
- *   4. edge_track_update  with the looks.
- *   5. edge_track_variance, to see whether the clock may lock.
+ *   3. edge_track_rise    with the two looks of the record, which tell the rise where edge_track_known left it open.
+ *   4. edge_track_blind   with them, to see whether there is a ramp at all.
+ *   5. edge_track_update  with them.
+ *   6. edge_track_variance, to see whether the clock may lock.
  *
  * State. It is the time t from the beacons' edge to the burst's last conversion, ticks; its rate, ticks a chip; the
  * rise L of the ramp, ticks; and their covariance. It comes from a search (edge_fit.h) with the covariance that the
@@ -49,7 +50,7 @@ typedef struct {
 typedef struct {
     float time_ticks;       /* t: from the beacons' edge to the burst's last conversion, ticks. */
     float rate;             /* Change of t, ticks a chip. */
-    float rise_ticks;       /* L: how long the ramp lasts, ticks. */
+    float rise_ticks;       /* L: how long the ramp lasts, ticks; valid while rise_known. */
     float covariance[3][3]; /* Covariance of these three, in this order. */
     bool rise_known;        /* False: nothing has been seen of the ramp yet. */
 } edge_track_t;
@@ -58,7 +59,7 @@ typedef struct {
 void edge_track_start(edge_track_t *track, const edge_fit_t *fit, float time_ticks);
 
 /* Begin with a time and a rate of 0 that are known from elsewhere with these standard deviations, ticks and ticks a
- * chip. The first two looks then tell the rise, which is not known. */
+ * chip. The rise is not known: edge_track_rise is to come before edge_track_blind and edge_track_update. */
 void edge_track_known(edge_track_t *track, float time_ticks, float time_deviation, float rate_deviation);
 
 /* Move the state on by so many chips, at least 0. */

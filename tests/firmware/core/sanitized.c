@@ -23,6 +23,7 @@
 #include "core/timing/code_field.h"
 #include "core/timing/code_search.h"
 #include "core/timing/edge_fit.h"
+#include "core/timing/edge_track.h"
 
 #define REQUIRE(condition) ((condition) ? (void)0 : (fprintf(stderr, "line %d: %s\n", __LINE__, #condition), exit(1)))
 
@@ -231,6 +232,17 @@ static void field_stages(void) {
         (void)code_field_step(&field, &record, peak.label, 0, ACQUIRE_CHIPS, &variance);
         edge_fit_t fit;
         (void)edge_fit(code_field_profile(&field, &record, &frame), &(edge_shape_t){16422.0f, 2400.0f, 267.0f}, &fit);
+    }
+    edge_track_t track;
+    edge_track_known(&track, 286.0f, 40.0f, 1e-3f);
+    for (uint32_t i = 0; i < 20u; i++) {
+        const edge_burst_t burst = {1u + i % 7u, 216.0f, 267.0f};
+        const edge_look_t looks[2] = {{(float)(noise() % 100u) * 0.01f, 1e-4f, -256.0f}, {0.1f, 1e-3f, 256.0f}};
+        edge_track_move(&track, 1023.0f);
+        edge_track_rise(&track, &burst, looks);
+        (void)edge_track_blind(&track, &burst, looks);
+        edge_track_update(&track, &burst, looks);
+        REQUIRE(edge_track_variance(&track, 1023.0f) > 0.0f);
     }
 }
 
