@@ -39,7 +39,7 @@ static void set_period(chip_clock_t *clock, int64_t period) {
 
 bool chip_clock_init(chip_clock_t *clock, const chip_clock_config_t *config) {
     const uint32_t margin = config->nominal_ticks / 100u;
-    if (config->chips < 31u || config->chips > 2047u || config->nominal_ticks == 0u || config->minimum_ticks == 0u ||
+    if (config->chips < 31u || config->chips > 2047u || config->minimum_ticks == 0u ||
         config->minimum_ticks + margin > config->nominal_ticks ||
         config->nominal_ticks + margin > config->maximum_ticks) {
         return false;
@@ -389,7 +389,7 @@ chip_clock_quality_t chip_clock_quality(const chip_clock_t *clock, uint32_t tick
     const uint64_t scatter = clock->scatter;
     const uint64_t slope = (uint64_t)(clock->drift < 0 ? -clock->drift : clock->drift) * clock->config.chips;
     const uint64_t held = cycles > 1u ? cycles : 0u;
-    const uint64_t age_ms = held > 0u ? age_us / 1000u : 0u;
+    const uint64_t age_ms = age_us / 1000u;
     /* All in 1/256 ticks; in t ms an unseen drift makes drift t^2 / 2. */
     const uint64_t error = ((uint64_t)clock->source.floor_ticks << SCATTER_BITS) + 2u * scatter +
                            held * 2u * scatter / clock->memory +
@@ -408,7 +408,6 @@ void chip_clock_forget(chip_clock_t *clock, const chip_clock_source_t *source) {
     clock->compared = false;
     clock->detune_ticks = 0;
     clock->late_ticks = 0;
-    clock->good_edges = 0;
     clock->candidate_edges = 0;
 }
 
