@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import fcntl
 import hashlib
 import re
 import subprocess
@@ -127,13 +128,21 @@ def _kinds(library: Path) -> dict[int, bool]:
 
 
 def build(workers: int = 1) -> Build:
-    """Build both libraries, if the sources have changed.
+    """Build both libraries, if the sources have changed; while another process builds, wait for it.
 
     Raises
     ------
     RuntimeError
         If the compiler finds an error where no mutant is.
     """
+    OUT.mkdir(parents=True, exist_ok=True)
+    with (OUT / "build.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        return _build(workers)
+
+
+def _build(workers: int) -> Build:
+    """See `build`. It writes the sources anew, so that two at a time would compile those of each other."""
     sources = _Sources()
     while True:
         sources.write()

@@ -1,10 +1,12 @@
 """The tool itself: each alternative of a small source does what its name says, and nothing else is changed."""
 
 import ctypes
+import fcntl
 import subprocess
 
 import pytest
 
+from tests.mutants import c_build
 from tests.mutants.c_build import COMPILE, FRONT, HERE
 from tests.mutants.c_sites import Instrumented
 from tests.mutants.mutant import with_distinct_names
@@ -111,3 +113,16 @@ def test_the_trace_tells_what_would_make_a_difference(tmp_path):
     for length, expected in ((7, (0, 0)), (9, (0, 1)), (8, (1, 1))):
         assert library.fits(length, True) & 1 == (length <= 8)
         assert (infected[boundary], infected[farther]) == expected
+
+
+def test_one_process_builds_at_a_time(monkeypatch, tmp_path):
+    """Two would compile each other's sources, and their mutants would not be those of their numbers."""
+
+    def is_locked(_workers):
+        with (tmp_path / "build.lock").open("w") as other, pytest.raises(BlockingIOError):
+            fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return "built"
+
+    monkeypatch.setattr(c_build, "OUT", tmp_path)
+    monkeypatch.setattr(c_build, "_build", is_locked)
+    assert c_build.build() == "built"
