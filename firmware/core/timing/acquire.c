@@ -70,7 +70,7 @@ void acquire_feed(acquire_t *acquire, uint32_t chip, const chip_clock_chip_t *pl
     if (!acquire->filling || (int32_t)(chip - acquire->from_chip) < 0) {
         return;
     }
-    if (acquire->count > 0u && chip != acquire->first_chip + acquire->count) {
+    if (chip != acquire->first_chip + acquire->count) {
         acquire->count = 0; /* There was a gap: the record begins anew. */
     }
     if (acquire->count == 0u) {
@@ -138,7 +138,6 @@ void acquire_known(acquire_t *acquire, const uint16_t *codes, uint32_t count, ui
     edge_track_known(&acquire->track, (float)ACQUIRE_TARGET_TICKS, deviation_ticks, KNOWN_RATE);
     acquire->captures = ACQUIRE_CAPTURES;
     acquire->middle_chip = chip;
-    acquire->frame.chip_length = 1.0f;
     acquire->tracking = true;
     command(acquire, ACQUIRE_AGAIN);
 }
@@ -195,7 +194,7 @@ static void edge_end(acquire_t *acquire) {
     const edge_shape_t shape = {(float)config->nominal_ticks, (float)(ACQUIRE_BURST * config->conversion_ticks),
                                 (float)config->lag_ticks};
     const edge_profile_t *profile = code_field_profile(&acquire->field, &acquire->record, &acquire->frame);
-    if (acquire->code_count == 0u || !edge_fit(profile, &shape, &acquire->edge)) {
+    if (!edge_fit(profile, &shape, &acquire->edge)) {
         command(acquire, ACQUIRE_SWEEP);
         return;
     }
@@ -218,7 +217,6 @@ static void edge_end(acquire_t *acquire) {
     acquire->unseen = 0;
     acquire->tracking = true;
     acquire->frame.sliding = false;
-    acquire->frame.chip_length = 1.0f;
     command(acquire, ACQUIRE_JUMP);
 }
 
