@@ -85,7 +85,10 @@ def declarations(headers: tuple[str, ...], defines: tuple[str, ...] = ()) -> str
     joined = re.sub(r"__attribute__\s*\(\((?:[^()]|\([^()]*\))*\)\)", "", joined)
     joined = re.sub(r"\bextern const\b", "extern", joined)  # cffi takes a const object for an integer constant
     joined = re.sub(r"_Static_assert\s*\((?:[^()\"]|\([^()]*\)|\"[^\"]*\")*\)\s*;", "", joined)
-    return re.sub(r"static inline[^{;]*\{[^{}]*(?:\{[^{}]*\}[^{}]*)*\}", "", joined)
+    blocks = 1
+    while blocks:  # Those of functions, the innermost first.
+        joined, blocks = re.subn(r"(\)|\belse|\bdo)\s*\{[^{}]*\}", r"\1;", joined)
+    return re.sub(r"static inline[^{;]*;", "", joined)
 
 
 def load(library: str | Path, headers: Sequence[str], defines: Sequence[str] = ()) -> tuple[cffi.FFI, Any]:
