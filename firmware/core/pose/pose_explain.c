@@ -12,11 +12,8 @@ static void note_next(pose_explain_t *explain, float cost) {
 }
 
 void pose_explain_whole(pose_solver_t *solver, pose_explain_t *explain, pose_reason_t reason, pose_t *pose) {
-    if (pose_faults(&solver->problem, &explain->full, &explain->faults)) {
-        pose_result(&solver->problem, &explain->full, &explain->faults, reason, false, pose);
-    } else {
-        pose_fail(pose, POSE_REASON_NO_POSE);
-    }
+    (void)pose_faults(&solver->problem, &explain->full, &explain->faults); /* A fit without tests fails as a result. */
+    pose_result(&solver->problem, &explain->full, &explain->faults, reason, false, pose);
 }
 
 static void prepare(pose_explain_t *explain, bool again) {
