@@ -5,7 +5,8 @@
 #include "core/math/roots.h"
 
 #define N    TRIANGLE_UNKNOWNS
-#define SEEN 1e-6f /* Least share of a column's norm on the diagonal that is not rounding. */
+#define SEEN 1e-6f  /* Least share of a column's norm on the diagonal that is not rounding. */
+#define LOST 1e-35f /* Square of three numbers that are as good as 0: below it squares lose their digits. */
 
 void triangle_init(triangle_t *triangle) {
     *triangle = (triangle_t){0};
@@ -16,7 +17,7 @@ void triangle_add(triangle_t *triangle, triangle_rows_t rows) {
     for (uint32_t j = 0; j < N; j++) {
         float *const r = triangle->r[j];
         const float below = rows[0][j] * rows[0][j] + rows[1][j] * rows[1][j] + rows[2][j] * rows[2][j];
-        if (!(below > 0.0f)) {
+        if (!(below > LOST)) {
             continue;
         }
         const float norm = square_root(r[j] * r[j] + below);
@@ -44,21 +45,20 @@ static float column_norm2(const triangle_t *triangle, uint32_t column) {
 
 void triangle_solve(const triangle_t *triangle, float damping, float step[TRIANGLE_UNKNOWNS]) {
     triangle_t damped = *triangle;
-    float norm2[N];
     for (uint32_t first = 0; first < N; first += 3u) {
         triangle_rows_t rows = {{0}};
         for (uint32_t i = 0; i < 3u; i++) {
-            norm2[first + i] = column_norm2(triangle, first + i);
-            rows[i][first + i] = square_root(damping * norm2[first + i]);
+            rows[i][first + i] = square_root(damping * column_norm2(triangle, first + i));
         }
         triangle_add(&damped, rows);
     }
     for (uint32_t j = N; j-- > 0u;) {
+        const float diagonal = damped.r[j][j];
         float sum = damped.r[j][N];
         for (uint32_t k = j + 1u; k < N; k++) {
             sum -= damped.r[j][k] * step[k];
         }
-        step[j] = norm2[j] > 0.0f ? sum / damped.r[j][j] : 0.0f;
+        step[j] = diagonal > 0.0f || diagonal < 0.0f ? sum / diagonal : 0.0f;
     }
 }
 

@@ -36,8 +36,7 @@ static bool search(pose_work_t *work, pose_t *pose) {
     if (work->known) {
         start_from(pose, &work->solver);
     }
-    if (work->later && work->verdict.row != POSE_NOBODY &&
-        pose_explain_again(&work->solver, &work->explain, work->verdict.row, work->known, pose)) {
+    if (work->later && pose_explain_again(&work->solver, &work->explain, work->verdict.row, work->known, pose)) {
         work->stage = POSE_STEP_AGAIN;
         return false;
     }
@@ -145,10 +144,8 @@ void pose_review(const pose_work_t *work, pose_work_t *review, pose_t *pose) {
         pose->iterations = pose_fit(&solver->problem, POSE_NEAR_EVALUATIONS, &solver->best);
     }
     pose->used = solver->problem.count;
-    solver->stage = POSE_SOLVE_DONE;
-    review->stage = POSE_STEP_BEGIN;
-    review->later = false;
-    (void)by_nothing(review, pose);
+    pose_explain_begin(solver, explain);
+    review->stage = POSE_STEP_EXPLAIN;
 }
 
 bool pose_step(pose_work_t *work, pose_t *pose) {

@@ -58,7 +58,7 @@ typedef struct {
 void pose_explain_begin(pose_solver_t *solver, pose_explain_t *explain);
 
 /* Begin with the beacon of a row under suspicion; with known, solver->best is the previous pose. Returns false if the
- * beacon cannot be left out. */
+ * beacon cannot be left out, and of POSE_NOBODY. */
 bool pose_explain_again(pose_solver_t *solver, pose_explain_t *explain, uint32_t row, bool known, pose_t *pose);
 
 /* Make *pose that of explain->full, the best fit by all beacons, which does not explain the fields. */

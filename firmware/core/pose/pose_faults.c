@@ -40,11 +40,9 @@ static const float DIAGONALS[3][3] = {{0.57735027f, 0.57735027f, 0.57735027f},
                                       {0.70710678f, -0.70710678f, 0.0f},
                                       {0.40824829f, 0.40824829f, -0.81649658f}};
 
-/* Computes how the six changes, symmetric matrices of norm 1, act on a field in the sensor's frame. */
+/* Computes how the six changes, symmetric matrices, act on a field in the sensor's frame. */
 static void changed(const float b[3], float columns[N][3]) {
-    const float half = 0.70710678f;
-    const float skews[3][3] = {
-        {0.0f, half * b[2], half * b[1]}, {half * b[2], 0.0f, half * b[0]}, {half * b[1], half * b[0], 0.0f}};
+    const float skews[3][3] = {{0.0f, b[2], b[1]}, {b[2], 0.0f, b[0]}, {b[1], b[0], 0.0f}};
     for (uint32_t axis = 0; axis < 3u; axis++) {
         for (uint32_t a = 0; a < 3u; a++) {
             columns[a][axis] = DIAGONALS[a][axis] * b[axis];
@@ -161,8 +159,8 @@ static bool gains_alarm(gains_t *gains, float least) {
         const float pivot = gains->information[a][a];
         gains->score[a] = pivot > 0.0f ? score / pivot : 0.0f;
         drop += gains->score[a] * gains->score[a];
-        const float limit = a == 0u ? LIMIT_COMMON : a == 2u ? LIMIT_AXES : a == 5u ? LIMIT_SKEWED : ENDLESS;
-        alarm = alarm || drop > limit;
+        /* The sum only grows: what is beyond the limit before all of a test's changes are in is so with them, too. */
+        alarm = alarm || drop > (a == 0u ? LIMIT_COMMON : a <= 2u ? LIMIT_AXES : LIMIT_SKEWED);
     }
     return alarm;
 }

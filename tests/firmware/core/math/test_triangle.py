@@ -86,3 +86,25 @@ def test_an_unknown_with_a_millionth_of_its_column_left_is_told(core, column, sh
         triangle.r[row][row] = 2.0
     triangle.r[0][column], triangle.r[column][column] = 3.0, 3.0 * share
     assert lib.triangle_invert(triangle, ffi.new("float[6][6]")) == told
+
+
+@pytest.mark.parametrize("scale", [1e-14, 1e-15, 1e-16, 1e-17, 1e-18, 1e-19, 1e-20, 1e-22, 1e-24, 1e-40])
+def test_an_unknown_of_which_rows_tell_next_to_nothing(core, scale):
+    """Where squares of its column underflow nothing becomes infinite: it was, from 1e-15 on, by what rounding left."""
+    ffi, lib = core
+    rng = np.random.default_rng(6)
+    triangle, step = ffi.new("triangle_t *"), ffi.new("float[6]")
+    lib.triangle_init(triangle)
+    rows = rng.normal(size=(12, 7))
+    rows[:, 4] *= scale
+    for block in range(0, 12, 3):
+        lib.triangle_add(triangle, rows[block : block + 3].tolist())
+    assert np.isfinite([list(row) for row in triangle.r]).all()
+    lib.triangle_solve(triangle, 1e-3, step)
+    assert np.isfinite(list(step)).all()
+    if scale > 1e-15 or scale < 1e-19:
+        others = [0, 1, 2, 3, 5]
+        kept = rows[:, [*others, 4]] / [1, 1, 1, 1, 1, scale] if scale > 1e-15 else rows[:, others]
+        normal = kept.T @ kept
+        expected = np.linalg.solve(normal + 1e-3 * np.diag(normal.diagonal()), kept.T @ rows[:, 6])
+        assert [step[i] for i in others] == pytest.approx(expected[:5], abs=1e-4)

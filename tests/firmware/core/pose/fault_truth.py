@@ -66,10 +66,10 @@ class Truth:
         attitude = rotation.as_matrix()
         model, white, rows, sensor = [], [], [], []
         pairs = np.sqrt(0.5) * np.array(SKEWS[::-1])
-        for b, measured in zip(site.beacons, fields, strict=True):
+        for b, measured, sd_T in zip(site.beacons, fields, sigma_T, strict=True):
             here, gradient, leaning = derivatives(b, position)
             place, lean = b.survey.position_sd_m * gradient, b.survey.axis_sd_rad * leaning
-            noise = (sigma_T**2 + (1e-6 * np.linalg.norm(measured)) ** 2) * np.eye(3)
+            noise = (sd_T**2 + (1e-6 * np.linalg.norm(measured)) ** 2) * np.eye(3)
             cov = noise + place @ place.T + lean @ lean.T + b.survey.current_sd**2 * np.outer(here, here)
             w = np.linalg.inv(np.linalg.cholesky(cov))
             turned = slope((Rotation.from_rotvec(WAYS) * rotation).inv().apply(here) @ attitude.T)

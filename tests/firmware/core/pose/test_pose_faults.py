@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from goldfield import site as sites
 from goldfield.locate.protection import level_of
 from goldfield.site.model import Survey
-from hil_sim.clib import ROOT
 from tests.firmware.core.pose.fault_truth import AXES, SKEWS, Truth, field_T
 from tests.firmware.core.pose.test_pose import Sensor
 
@@ -18,28 +16,14 @@ ENDLESS = 1e30
 
 
 @pytest.fixture(scope="module")
-def cube():
-    """The cube with axes of its own for each beacon, known exactly."""
-    rng = np.random.default_rng(101)
-    site = sites.load(ROOT / "host/sites/prigge8.toml")
-    axes = rng.normal(size=(8, 3)) + [0.0, 0.0, 2.0]
-    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-    sure = Survey(0.0, 0.0, 0.0)
-    rows = [dataclasses.replace(b, axis=a, survey=sure) for b, a in zip(site.beacons, axes, strict=True)]
-    return dataclasses.replace(
-        site, beacons=tuple(rows), sensor=dataclasses.replace(site.sensor, gain_sd=0.0, axis_sd_rad=0.0)
-    )
-
-
-@pytest.fixture(scope="module")
-def declared(cube):
-    """The same with declared errors of site and sensor."""
+def declared(mixed_cube):
+    """The cube with declared errors of site and sensor."""
     rows = [
         dataclasses.replace(b, survey=Survey(0.001 * (1 + i % 3), 0.002 * (1 + i % 2), 0.003))
-        for i, b in enumerate(cube.beacons)
+        for i, b in enumerate(mixed_cube.beacons)
     ]
-    sensor = dataclasses.replace(cube.sensor, gain_sd=0.004, axis_sd_rad=0.006)
-    return dataclasses.replace(cube, beacons=tuple(rows), sensor=sensor)
+    sensor = dataclasses.replace(mixed_cube.sensor, gain_sd=0.004, axis_sd_rad=0.006)
+    return dataclasses.replace(mixed_cube, beacons=tuple(rows), sensor=sensor)
 
 
 class Fitted:
@@ -47,6 +31,7 @@ class Fitted:
 
     def __init__(self, core, site, seed, residual_sd=0.0, spread=0.6):
         self.ffi, self.lib = core
+        self.sigma_T = np.full(len(site.beacons), SIGMA_T)
         self.site, self.rng = site, np.random.default_rng(seed)
         centres = np.array([b.position_m for b in site.beacons])
         middle, size = centres.mean(axis=0), np.ptp(centres, axis=0)
@@ -59,9 +44,9 @@ class Fitted:
     def fit_to(self, fields):
         """Fit fields, shape (n, 3), T, from the true pose."""
         self.fields, sensor = fields, Sensor((self.ffi, self.lib), self.site)
-        table = self.ffi.new("pose_field_t[]", [(f.tolist(), SIGMA_T) for f in fields])
+        table = [(f.tolist(), s) for f, s in zip(fields, self.sigma_T.tolist(), strict=True)]
         self.problem, self.fit = self.ffi.new("pose_problem_t *"), self.ffi.new("pose_fit_t *")
-        self.lib.pose_problem(sensor.site, table, self.problem)
+        self.lib.pose_problem(sensor.site, self.ffi.new("pose_field_t[]", table), self.problem)
         origin = np.array(list(self.problem.origin_m))
         self.fit.position_m = (self.position - origin).tolist()
         self.fit.quaternion = self.rotation.as_quat().tolist()
@@ -71,17 +56,19 @@ class Fitted:
 
     def truth(self):
         """The same around the board's pose, in double."""
-        return Truth.around(self.site, self.fields, SIGMA_T, self.found, self.turn)
+        return Truth.around(self.site, self.fields, self.sigma_T, self.found, self.turn)
 
     def faults(self):
-        """What the board says; whatever stood in the struct before."""
+        """What the board says, whatever stood in the struct before, and whatever lies behind the beacons."""
+        self.problem.heard[self.problem.count] = self.problem.heard[0]
+        self.problem.heard[self.problem.count].field_uT[1] += 1.0
         faults = self.ffi.new("pose_faults_t *")
         self.ffi.memmove(faults, b"\x7f" * self.ffi.sizeof("pose_faults_t"), self.ffi.sizeof("pose_faults_t"))
         assert self.lib.pose_faults(self.problem, self.fit, faults)
         return faults
 
 
-@pytest.mark.parametrize(("kind", "seed"), [("cube", 1), ("cube", 2), ("declared", 3), ("declared", 4)])
+@pytest.mark.parametrize(("kind", "seed"), [("mixed_cube", 1), ("mixed_cube", 2), ("declared", 3), ("declared", 4)])
 def test_drops_and_gains_are_those_of_further_fits(core, kind, seed, request):
     fitted = Fitted(core, request.getfixturevalue(kind), seed, 5.0)
     faults, truth = fitted.faults(), fitted.truth()
@@ -104,7 +91,8 @@ def level_by_host(truth):
 
 
 @pytest.mark.parametrize(
-    ("kind", "seed", "noise", "spread"), [("cube", 5, 3.0, 0.6), ("declared", 7, 5.0, 0.6), ("cube", 6, 0.0, 0.0)]
+    ("kind", "seed", "noise", "spread"),
+    [("mixed_cube", 5, 3.0, 0.6), ("declared", 7, 5.0, 0.6), ("mixed_cube", 6, 0.0, 0.0)],
 )
 def test_the_protection_level_is_that_of_fits_without_each_beacon(core, kind, seed, noise, spread, request):
     """Amid the cube and without residuals it is that of the noise alone."""
@@ -145,7 +133,7 @@ def leading(fitted, direction, share):
 
 
 @pytest.mark.parametrize("share", [0.99, 1.01])
-@pytest.mark.parametrize("kind", ["cube", "declared"])
+@pytest.mark.parametrize("kind", ["mixed_cube", "declared"])
 @pytest.mark.parametrize("direction", DIRECTIONS)
 def test_the_alarm_is_raised_beyond_the_limit_of_each_test(core, direction, kind, share, request):
     fitted = Fitted(core, request.getfixturevalue(kind), 11)
@@ -162,9 +150,9 @@ def rounding_of(share):
 
 
 @pytest.mark.parametrize(("part", "shown"), [(0.97, True), (1.03, False)])
-def test_a_fault_that_rounding_hides_has_no_level(core, cube, part, shown):
+def test_a_fault_that_rounding_hides_has_no_level(core, mixed_cube, part, shown):
     """The least pivot of what the fit leaves of any beacon's residuals decides."""
-    fitted = Fitted(core, cube, 12, 3.0)
+    fitted = Fitted(core, mixed_cube, 12, 3.0)
     truth = fitted.truth()
     basis = np.linalg.qr(truth.rows)[0].reshape(8, 3, 6)
     pivots = [np.linalg.cholesky(np.eye(3) - t @ t.T).diagonal() ** 2 for t in basis]
@@ -174,11 +162,38 @@ def test_a_fault_that_rounding_hides_has_no_level(core, cube, part, shown):
     assert shown or faults.level_m == pytest.approx(ENDLESS)
 
 
+def seen_of(s, least):
+    """The components that are tested of residuals with covariance s: one after another, with enough left by others."""
+    seen = []
+    for j in range(3):
+        own = s[np.ix_(seen, seen)]
+        left = s[j, j] - s[j, seen] @ np.linalg.solve(own, s[seen, j]) if seen else s[j, j]
+        assert abs(left / least - 1.0) > 0.01
+        if left > least:
+            seen.append(j)
+    return seen
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.5, 0.6, 0.75, 0.83])
+def test_what_rounding_hides_of_a_beacon_counts_for_no_drop(core, mixed_cube, share):
+    fitted = Fitted(core, mixed_cube, 12, 5.0)
+    truth = fitted.truth()
+    basis = np.linalg.qr(truth.rows)[0].reshape(8, 3, 6)
+    fitted.fit.rounding = rounding_of(share)
+    faults, whole = fitted.faults(), 0
+    for i in range(8):
+        seen = seen_of(np.eye(3) - basis[i] @ basis[i].T, share)
+        expected = truth.takes(truth.of_beacon(i)[:, seen])[0] if seen else 0.0
+        assert faults.drop[i] == pytest.approx(expected, rel=5e-3, abs=1e-3)
+        whole += len(seen) == 3
+    assert whole < 8
+
+
 @pytest.mark.parametrize(("part", "alarm"), [(0.97, True), (1.03, False)])
 @pytest.mark.parametrize("name", ["strength 5", "gain"])
-def test_what_rounding_hides_raises_no_alarm(core, cube, name, part, alarm):
+def test_what_rounding_hides_raises_no_alarm(core, mixed_cube, name, part, alarm):
     """A statistic beyond its limit, its column with that share of its square left by the fit."""
-    fitted = Fitted(core, cube, 11)
+    fitted = Fitted(core, mixed_cube, 11)
     truth = leading(fitted, name, 1.1)
     column = truth.columns_of(name)[:, 0]
     left = column - truth.rows @ np.linalg.lstsq(truth.rows, column, rcond=None)[0]
@@ -187,11 +202,11 @@ def test_what_rounding_hides_raises_no_alarm(core, cube, name, part, alarm):
 
 
 @pytest.fixture(scope="module")
-def coaxial(cube):
+def coaxial(mixed_cube):
     """Three beacons, two of them on one line along which they point: no turn around it shows without the third."""
-    up, rows = np.array([0.0, 0.0, 1.0]), list(cube.beacons[:3])
+    up, rows = np.array([0.0, 0.0, 1.0]), list(mixed_cube.beacons[:3])
     rows[:2] = [dataclasses.replace(b, position_m=z * up, axis=up) for b, z in zip(rows, (0.0, 1.5), strict=False)]
-    return dataclasses.replace(cube, beacons=tuple(rows))
+    return dataclasses.replace(mixed_cube, beacons=tuple(rows))
 
 
 def test_a_fault_that_no_residual_shows_has_no_level(core, coaxial):
@@ -214,30 +229,64 @@ def test_more_changes_than_residuals_take_all_of_the_cost(core, coaxial, share, 
     assert fitted.faults().alarm == alarm
 
 
-def test_the_gain_of_an_axis_without_fields_is_the_mean_of_the_others(core, cube):
+def flat(core, mixed_cube):
     """All coils lie and point in a plane with the sensor, whose third axis is across it."""
-    flat = [
+    beacons = [
         dataclasses.replace(b, position_m=b.position_m * [1, 1, 0] + [0.3 * i, 0.1 * i * i, 0], axis=axis)
-        for i, (b, axis) in enumerate(zip(cube.beacons, np.eye(3)[[0, 1, 1, 0, 0, 1, 0, 1]], strict=True))
+        for i, (b, axis) in enumerate(zip(mixed_cube.beacons, np.eye(3)[[0, 1, 1, 0, 0, 1, 0, 1]], strict=True))
     ]
-    fitted = Fitted(core, dataclasses.replace(cube, beacons=tuple(flat)), 15)
+    fitted = Fitted(core, dataclasses.replace(mixed_cube, beacons=tuple(beacons)), 15)
     fitted.position, fitted.rotation = np.array([0.9, 0.7, 0.0]), Rotation.from_rotvec([0.0, 0.0, 0.7])
-    clean = fitted.rotation.inv().apply(np.array([field_T(b, fitted.position) for b in flat]))
-    assert np.abs(clean[:, 2]).max() < 1e-6 * np.abs(clean).max()
-    fitted.fit_to(clean + 5.0 * SIGMA_T * fitted.rng.normal(size=clean.shape) * [1.0, 1.0, 0.0])
+    fitted.clean = fitted.rotation.inv().apply(np.array([field_T(b, fitted.position) for b in beacons]))
+    assert np.abs(fitted.clean[:, 2]).max() < 1e-6 * np.abs(fitted.clean).max()
+    return fitted
+
+
+def test_the_gain_of_an_axis_without_fields_is_the_mean_of_the_others(core, mixed_cube):
+    fitted = flat(core, mixed_cube)
+    fitted.fit_to(fitted.clean + 5.0 * SIGMA_T * fitted.rng.normal(size=(8, 3)) * [1.0, 1.0, 0.0])
     faults, truth = fitted.faults(), fitted.truth()
     gains = truth.takes(truth.changed(AXES[:2]))[1]
     assert list(faults.gain) == pytest.approx([*gains, gains.mean()], abs=5e-3 * np.linalg.norm(gains))
 
 
-def test_unknowns_that_no_field_tells_have_no_tests(core, cube):
-    fitted = Fitted(core, cube, 16)
+@pytest.mark.parametrize(("share", "alarm"), [(0.98, False), (1.02, True)])
+def test_a_gain_that_does_not_show_hides_no_skew(core, mixed_cube, share, alarm):
+    """Neither do the two skews of that axis: turns explain them."""
+    fitted = flat(core, mixed_cube)
+    found = leading(fitted, "skew of the third pair", share).shares()
+    assert max(found, key=found.get) == "skew"
+    assert sorted(found.values())[-2] < 0.95
+    assert fitted.faults().alarm == alarm
+
+
+@pytest.mark.parametrize(("share", "alarm"), [(0.98, False), (1.02, True)])
+def test_the_strength_of_a_faint_beacon(core, mixed_cube, share, alarm):
+    """Its field is two deviations of its noise."""
+    fitted = Fitted(core, mixed_cube, 18)
+    fitted.sigma_T[5] = 0.5 * np.linalg.norm(fitted.clean[5])
+    found = leading(fitted, "strength 5", share).shares()
+    assert max(found, key=found.get) == "strength 5"
+    assert sorted(found.values())[-2] < 0.9
+    assert fitted.faults().alarm == alarm
+
+
+def test_the_weights_are_those_around_the_fit(core, declared):
+    """Others may have been taken since, elsewhere."""
+    fitted = Fitted(core, declared, 19, 5.0)
+    drops = list(fitted.faults().drop)[:8]
+    fitted.lib.pose_weights_at(fitted.problem, [0.3, -0.2, 0.4])
+    assert list(fitted.faults().drop)[:8] == drops
+
+
+def test_unknowns_that_no_field_tells_have_no_tests(core, mixed_cube):
+    fitted = Fitted(core, mixed_cube, 16)
     fitted.fit.triangle.r[5][5] = 0.0
     assert not fitted.lib.pose_faults(fitted.problem, fitted.fit, fitted.ffi.new("pose_faults_t *"))
 
 
-def test_a_cost_that_is_no_number_raises_the_alarm(core, cube):
-    fitted = Fitted(core, cube, 17)
+def test_a_cost_that_is_no_number_raises_the_alarm(core, mixed_cube):
+    fitted = Fitted(core, mixed_cube, 17)
     assert not fitted.faults().alarm
     fitted.fit.cost = float("nan")
     assert fitted.faults().alarm

@@ -16,7 +16,9 @@ AMID = np.array([0.7, -0.4, 1.1])
 def problem_of(core, centres, axes):
     problem = core[0].new("pose_problem_t *")
     problem.count = len(centres)
-    for heard, centre, axis in zip(problem.heard, centres, axes, strict=False):
+    behind = [[50.0, -60.0, 70.0]], [[0.6, 0.8, 0.0]]  # As one that was left out lies there.
+    places, ways = np.vstack([centres, behind[0]]), np.vstack([axes, behind[1]])
+    for heard, centre, axis in zip(problem.heard, places, ways, strict=False):
         heard.loop.centre_m, heard.loop.axis = centre.tolist(), axis.tolist()
     return problem
 
