@@ -13,11 +13,12 @@ def problem(seed):
 
 def solved(core, matrix, side):
     ffi, lib = core
-    normal, x = ffi.new("normal3_t *"), ffi.new("float[3]", [7.0] * 3)
+    normal, x = ffi.new("normal3_t *"), ffi.new("float[4]", [7.0] * 4)
     normal.matrix, normal.side = matrix.tolist(), side.tolist()
     lib.normal3_solve(normal, x)
     assert [list(row) for row in normal.matrix] == matrix.tolist()
-    return np.array(list(x))
+    assert x[3] == 7.0
+    return np.array(list(x))[:3]
 
 
 def inverse_of(core, matrix):

@@ -233,13 +233,14 @@ def test_negated_fields_explain_what_is_likely_and_twenty_five_better(core, plac
     board.lib.pose_problem_negate(board.problem)
     board.solver.best.cost = share * chi2.isf(LIKELY, 3 * heard - 6)
     board.explain.full.cost = board.solver.best.cost + margin
-    board.explain.round, board.explain.total = 7, [7.0] * 3
+    board.explain.round, board.explain.total, board.explain.faults.level_m = 7, [7.0] * 3, 1e6
     assert board.step(board.lib.POSE_EXPLAIN_NEGATED) == (answer is not None)
     assert same(board.fields_T(), place.fields[:heard])
     assert board.explain.next_cost == pytest.approx(share * chi2.isf(LIKELY, 3 * heard - 6))
     if answer is not None:
         assert board.answer() == answer
         assert np.linalg.norm(np.array(list(board.pose.position_m)) - place.position) < 1e-3
+        assert 0.0 < board.pose.protection_m < 1.0  # Its own, not what stood there.
     else:
         assert board.explain.stage == board.lib.POSE_EXPLAIN_GAINS
         assert (board.explain.round, list(board.explain.total)) == (0, [1.0] * 3)

@@ -106,6 +106,7 @@ DIRECTIONS = {
     "strength 5": lambda _, truth: truth.strength_of(5)[:, 0],
     "gain": lambda _, truth: truth.changed([np.eye(3)])[:, 0],
     "gains": lambda _, truth: truth.changed([np.diag([1, -1, 0])])[:, 0],
+    "gains of the third axis": lambda _, truth: truth.changed([np.diag([1, 1, -2])])[:, 0],
     "skew": lambda _, truth: truth.changed(SKEWS)[:, 0],
     "skew of the second pair": lambda _, truth: truth.changed(SKEWS)[:, 1],
     "skew of the third pair": lambda _, truth: truth.changed(SKEWS)[:, 2],
@@ -116,12 +117,13 @@ DIRECTIONS = {
 def leading(fitted, direction, share):
     """The board fits fields whose residual has that test's statistic so far from its limit; returns the truth.
 
-    A skew's is one that no gains take away.
+    A skew's is one that no gains take away, the third axis's one that neither strength nor the other two do.
     """
     fitted.fit_to(fitted.clean)
     truth, test = fitted.truth(), direction.split(" of")[0]
     column = DIRECTIONS[direction](fitted, truth)
-    others = truth.changed(AXES)[:, : 3 * (test == "skew")]
+    before = AXES if test == "skew" else [np.eye(3), np.diag([1, -1, 0])] if "third axis" in direction else []
+    others = truth.changed(before) if before else truth.rows[:, :0]
     known = np.linalg.qr(np.hstack([truth.rows, others]))[0]
     truth.residual = column - known @ (known.T @ column)
     residual = np.linalg.solve(truth.whitening, truth.residual.reshape(-1, 3, 1))[..., 0] @ truth.attitude

@@ -26,9 +26,10 @@ def problem_of(core, centres, axes):
 def plane_of(core, problem):
     """(whether there is one, point, normal, square of the extent); whatever stood there before."""
     ffi, lib = core
-    point, normal, extent2 = ffi.new("float[3]", [7.0] * 3), ffi.new("float[3]", [7.0] * 3), ffi.new("float *", 7.0)
+    point, normal, extent2 = ffi.new("float[4]", [7.0] * 4), ffi.new("float[4]", [7.0] * 4), ffi.new("float *", 7.0)
     flat = lib.pose_mirror_plane(problem, point, normal, extent2)
-    return bool(flat), np.array(list(point)), np.array(list(normal)), extent2[0]
+    assert (point[3], normal[3]) == (7.0, 7.0)
+    return bool(flat), np.array(list(point))[:3], np.array(list(normal))[:3], extent2[0]
 
 
 @pytest.mark.parametrize("signs", [[1, 1, 1, 1], [-1, 1, 1, -1], [1, -1, -1, -1]])
@@ -44,18 +45,33 @@ def test_the_plane_of_coils_of_either_sense(core, signs):
 
 
 @pytest.mark.parametrize("extent_m", [0.4, 5.0])
-@pytest.mark.parametrize(
-    ("thickness", "lean", "flat"), [(0.245, 0.245, True), (0.255, 0.0, False), (0.0, 0.255, False)]
-)
-def test_flat_is_a_quarter_of_any_extent(core, extent_m, thickness, lean, flat):
-    """The highest coils are the first two, the leaning ones the last two; all that comes after them is flat again."""
-    along = np.sqrt(1.0 - thickness**2)
-    places = np.array([[along, 0.0, thickness], [-along, 0.0, -thickness], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])
-    centres = AMID + extent_m * places @ np.vstack([ACROSS, NORMAL])
-    tilts = np.array([[0.0, 0.0], [0.0, 0.0], [lean, 0.0], [-lean, 0.0]])
+@pytest.mark.parametrize(("height", "lean", "flat"), [(0.245, 0.245, True), (0.255, 0.0, False), (0.0, 0.255, False)])
+def test_flat_is_a_quarter_of_any_extent(core, extent_m, height, lean, flat):
+    """One coil alone is the farthest, the highest and the one that leans most, wherever it stands among four."""
+    along = np.sqrt(1.0 - height**2)
+    third = [-along / 3.0, 0.0, -height / 3.0]
+    places = np.array([[along, 0.0, height], third, third, third]) + np.outer([0.0, 0.5, -0.5, 0.0], [0.0, 1.0, 0.0])
+    tilts = np.outer([lean, -lean / 3.0, -lean / 3.0, -lean / 3.0], [1.0, 0.0])
     axes = tilts @ ACROSS + np.sqrt(1.0 - (tilts**2).sum(axis=1))[:, None] * NORMAL
-    assert plane_of(core, problem_of(core, centres, axes))[0] == flat
-    assert plane_of(core, problem_of(core, centres[::-1], axes[::-1]))[0] == flat
+    centres = AMID + extent_m * places @ np.vstack([ACROSS, NORMAL])
+    for shift in range(4):
+        problem = problem_of(core, np.roll(centres, shift, axis=0), np.roll(axes, shift, axis=0))
+        assert plane_of(core, problem)[0] == flat
+
+
+def test_the_normal_is_the_mean_of_all_axes(core):
+    """Each turned to the side of the first one's."""
+    tilts = np.array([[0.1, 0.0], [0.0, 0.2], [-0.05, -0.1]])
+    axes = tilts @ ACROSS + np.sqrt(1.0 - (tilts**2).sum(axis=1))[:, None] * NORMAL
+    mean = axes.sum(axis=0) / np.linalg.norm(axes.sum(axis=0))
+    signs = np.array([[1.0], [-1.0], [1.0]])
+    assert plane_of(core, problem_of(core, np.eye(3), signs * axes))[2] == pytest.approx(mean, abs=1e-6)
+
+
+@pytest.mark.parametrize(("distance", "far"), [(3.99, False), (4.01, True)])
+def test_an_image_by_the_point_is_tried_from_four_extents_on(core, distance, far):
+    _, lib = core
+    assert lib.pose_mirror_is_far([1.0, 2.0, 3.0], 0.25, [1.0, 2.0 + 0.3 * distance, 3.0 - 0.4 * distance]) == far
 
 
 def test_an_axis_at_a_right_angle_to_the_first_counts_as_it_is(core):
@@ -75,6 +91,8 @@ def image_of(core, reflect):
         lib.pose_mirror_reflect(AMID.tolist(), NORMAL.tolist(), fit, image)
     else:
         lib.pose_mirror_across(AMID.tolist(), fit, image)
+        lib.pose_mirror_across(AMID.tolist(), fit, fit)  # The image may be the pose itself.
+        assert (list(fit.position_m), list(fit.quaternion)) == (list(image.position_m), list(image.quaternion))
     there = Rotation.from_quat(list(image.quaternion))
     assert np.linalg.norm(list(image.quaternion)) == pytest.approx(1.0, abs=1e-6)
     return (position, turn), (np.array(list(image.position_m)), there)

@@ -363,12 +363,6 @@ def test_images_of_coils_flat_to_a_quarter(core, thickness, tilt, flat):
     assert list(point) == pytest.approx([5.0, 6.0, 7.0])
 
 
-@pytest.mark.parametrize(("distance", "far"), [(3.99, False), (4.01, True)])
-def test_an_image_by_the_point_is_tried_from_four_extents_on(core, distance, far):
-    _, lib = core
-    assert lib.pose_mirror_is_far([1.0, 2.0, 3.0], 0.25, [1.0, 2.0 + 0.3 * distance, 3.0 - 0.4 * distance]) == far
-
-
 def bisected(locate, low):
     """The poses on both sides of where a knob, from low on, makes the pose weak: doubled, then by bisection."""
     high = 2.0 * low
