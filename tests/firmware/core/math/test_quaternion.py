@@ -21,7 +21,9 @@ def test_matrix_and_back(core):
     ffi, lib = core
     matrix, quaternion = ffi.new("float[3][3]"), ffi.new("float[4]")
     halves = Rotation.from_rotvec(np.pi * np.vstack([np.eye(3), -np.eye(3)]))
-    for rotation in (*random_rotations(200, 4), *halves, Rotation.identity()):
+    # Nearly half a turn about nearly an axis: no other component tells the attitude but with rounding a thousandfold.
+    nearly = [(np.pi - 1e-4) * (axis + 1e-3 * np.array([0.5, -0.7, 0.6])) for axis in np.eye(3)]
+    for rotation in (*random_rotations(200, 4), *halves, *Rotation.from_rotvec(nearly), Rotation.identity()):
         lib.quaternion_matrix(rotation.as_quat().tolist(), matrix)
         np.testing.assert_allclose([list(row) for row in matrix], rotation.as_matrix(), atol=1e-6)
         lib.quaternion_from_matrix(matrix, quaternion)
@@ -42,8 +44,10 @@ def test_a_turn_of_any_length_is_one_by_twice_the_arc_tangent_of_its_half(core):
     ffi, lib = core
     rng = np.random.default_rng(6)
     for start, vector in zip(random_rotations(20, 7), 3.0 * rng.normal(size=(20, 3)), strict=True):
-        quaternion = ffi.new("float[4]", start.as_quat().tolist())
+        quaternion = ffi.new("float[5]", [*start.as_quat().tolist(), 7.0])
         lib.quaternion_turn(quaternion, vector.tolist())
+        *quaternion, behind = list(quaternion)
+        assert behind == 7.0
         length = np.linalg.norm(vector)
         turn = Rotation.from_rotvec(2.0 * np.arctan(0.5 * length) * vector / length)
         assert apart(quaternion, turn * start) < 2e-6
