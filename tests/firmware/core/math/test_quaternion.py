@@ -22,7 +22,8 @@ def test_matrix_and_back(core):
     matrix, quaternion = ffi.new("float[3][3]"), ffi.new("float[4]")
     halves = Rotation.from_rotvec(np.pi * np.vstack([np.eye(3), -np.eye(3)]))
     # Nearly half a turn about nearly an axis: no other component tells the attitude but with rounding a thousandfold.
-    nearly = [(np.pi - 1e-4) * (axis + 1e-3 * np.array([0.5, -0.7, 0.6])) for axis in np.eye(3)]
+    nearly = np.eye(3) + 1e-3 * np.array([0.5, -0.7, 0.6])
+    nearly *= (np.pi - 1e-5) / np.linalg.norm(nearly, axis=1, keepdims=True)
     for rotation in (*random_rotations(200, 4), *halves, *Rotation.from_rotvec(nearly), Rotation.identity()):
         lib.quaternion_matrix(rotation.as_quat().tolist(), matrix)
         np.testing.assert_allclose([list(row) for row in matrix], rotation.as_matrix(), atol=1e-6)

@@ -215,3 +215,21 @@ def test_what_changes_is_forgotten(core, cube):
     board.lib.pose_live_forget(board.live)
     assert not board.lib.pose_live_spare(board.live)
     assert board.cycle(faulty[2]) == (INCONSISTENT, PENDING, NOBODY)
+
+
+def test_what_is_at_work(core, cube):
+    """A pose from its beginning to its last step, a review from the end of a pose that was alarmed, and never else."""
+    position, turn, clean, noise = flight(cube, 2, 51)
+    board, busy = Live(core, cube), []
+    table = board.ffi.new("pose_field_t[]", [(f.tolist(), SIGMA_T) for f in clean[0] + noise[0]])
+    board.lib.pose_live_begin(board.live, board.site, table, board.pose)
+    busy.append(board.live.busy)
+    while not board.lib.pose_live_step(board.live, board.pose):
+        busy.append(board.live.busy)
+    assert all(busy)
+    assert (board.live.busy, board.live.reviewing) == (False, False)
+    board.cycle(with_fault(cube, "dead", 3, position[1], turn[1], clean[1]) + noise[1], spare=0)
+    assert (board.live.busy, board.live.reviewing) == (False, True)
+    board.live.busy = True
+    board.lib.pose_live_forget(board.live)
+    assert (board.live.busy, board.live.reviewing) == (False, False)
