@@ -4,31 +4,33 @@ void block_collect_init(block_collector_t *collector, uint32_t length) {
     *collector = (block_collector_t){.length = length};
 }
 
+/* Whatever is left out breaks its block: chips come in order, so that none behind it is the one that continues it. */
 void block_collect(block_collector_t *collector, uint32_t absolute_chip, uint32_t cycle, uint32_t code_chip,
                    const int16_t sample[EPOCH_AXES], uint32_t saturated, bool locked) {
     const uint32_t t = absolute_chip % BLOCK_CHIPS;
     block_samples_t *const block = &collector->blocks[collector->filled % BLOCKS_WAITING];
+    if (!locked) {
+        return;
+    }
     if (t == 0u) {
         const uint32_t released = __atomic_load_n(&collector->released, __ATOMIC_ACQUIRE);
-        collector->collected = 0;
-        if (!locked || collector->filled - released == BLOCKS_WAITING) {
+        if (collector->filled - released == BLOCKS_WAITING) {
             return;
         }
         block->number = absolute_chip / BLOCK_CHIPS;
         block->cycle = cycle;
         block->chip = (uint16_t)code_chip;
         block->saturated = 0;
-    } else if (collector->collected != t || code_chip != collector->next || !locked) {
-        collector->collected = 0;
+    } else if (absolute_chip != collector->next || code_chip != collector->next_code) {
         return;
     }
     for (uint32_t axis = 0; axis < EPOCH_AXES; axis++) {
         block->samples[t][axis] = sample[axis];
     }
     block->saturated = (uint8_t)(block->saturated | saturated);
-    collector->collected = t + 1u;
-    collector->next = code_chip + 1u == collector->length ? 0u : code_chip + 1u;
-    if (collector->collected == BLOCK_CHIPS) {
+    collector->next = absolute_chip + 1u;
+    collector->next_code = code_chip + 1u == collector->length ? 0u : code_chip + 1u;
+    if (t + 1u == BLOCK_CHIPS) {
         __atomic_store_n(&collector->filled, collector->filled + 1u, __ATOMIC_RELEASE);
     }
 }

@@ -41,8 +41,7 @@ typedef struct {
 typedef struct {
     block_samples_t blocks[BLOCKS_WAITING];
     uint32_t length;           /* N, the chips in a cycle. */
-    uint32_t collected;        /* Chips of the block being filled, 0 if it is not to be handed over. */
-    uint32_t next;             /* The code chip that continues it. */
+    uint32_t next, next_code;  /* The absolute and the code chip that continue the block being filled. */
     uint32_t filled, released; /* Blocks handed over to main, and given back by it, modulo 2^32. */
 } block_collector_t;
 

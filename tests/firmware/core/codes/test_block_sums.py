@@ -20,6 +20,7 @@ def test_bits_of_every_code_from_every_chip(core, gold_family, degree):
     codes = gold_family(degree)
     length = codes.shape[1]
     bits = ffi.new("code_bits_t *")
+    ffi.buffer(bits)[:] = b"\xa5" * ffi.sizeof("code_bits_t")  # As of another degree before.
     lib.code_bits_init(bits, lib.gold_family(degree))
     chips = np.arange(length) if length < 200 else np.random.default_rng(degree).integers(0, length, 20)
     for chip in [*chips, 0, length - 1, length - 31, length - 30, length, 3 * length + 5]:
@@ -27,12 +28,16 @@ def test_bits_of_every_code_from_every_chip(core, gold_family, degree):
         assert [lib.code_bits_at(bits, code, int(chip)) for code in range(length + 2)] == expected.tolist()
 
 
-@pytest.fixture
-def collector(core):
+def collector_of(core, length):
     ffi, lib = core
     state = ffi.new("block_collector_t *")
-    lib.block_collect_init(state, 1023)
+    lib.block_collect_init(state, length)
     return state
+
+
+@pytest.fixture
+def collector(core):
+    return collector_of(core, 1023)
 
 
 def collect(core, state, chips, *, offset=0, saturated=0, locked=True):
@@ -40,7 +45,7 @@ def collect(core, state, chips, *, offset=0, saturated=0, locked=True):
     ffi, lib = core
     for absolute in chips:
         sample = ffi.new("int16_t[3]", [absolute % 1000, -absolute % 777, 5])
-        cycle, code_chip = divmod(absolute + offset, 1023)
+        cycle, code_chip = divmod(absolute + offset, state.length)
         lib.block_collect(state, absolute, cycle, code_chip, sample, saturated, locked)
 
 
@@ -84,12 +89,49 @@ def test_a_block_with_a_chip_missing_or_unlocked_or_after_a_jump_is_left_out(cor
         assert [block[0] for block in waiting(core, collector)] == expected
 
 
+@pytest.mark.parametrize(
+    ("length", "gap"), [(31, 31), (31, 62), (63, 63), (63, 31 * 63), (1023, 1023), (2047, 31 * 2047)]
+)
+@pytest.mark.parametrize("begun", [1, 5, 30])
+def test_a_block_is_not_continued_by_the_same_chip_of_a_later_one(core, length, gap, begun):
+    """As where blocks are switched off amid one, and on again amid another: the code goes on where it was."""
+    state = collector_of(core, length)
+    collect(core, state, range(31, 31 + begun))
+    again = 31 + begun + gap
+    end = (again + 30) // 31 * 31
+    collect(core, state, range(again, end))
+    assert waiting(core, state) == []
+    collect(core, state, range(end, end + 31))
+    assert [block[0] for block in waiting(core, state)] == [end // 31]
+
+
+@pytest.mark.parametrize("unlocked", [0, 1, 7])
+def test_no_block_goes_on_behind_a_chip_that_was_not_locked(core, unlocked):
+    """The code is a block long, so that every chip seems to follow the one a block before."""
+    state = collector_of(core, 31)
+    collect(core, state, range(31, 31 + unlocked))
+    collect(core, state, [31 + unlocked], locked=False)
+    collect(core, state, range(31 + unlocked + 1, 62))
+    assert waiting(core, state) == []
+    state = collector_of(core, 31)
+    collect(core, state, range(max(unlocked, 1)))
+    collect(core, state, [31 + unlocked], locked=False)
+    collect(core, state, range(31 + unlocked + 1, 62))
+    assert waiting(core, state) == []
+
+
 def test_saturated_axes_are_those_of_any_chip_of_the_block(core, collector):
     collect(core, collector, range(30))
     collect(core, collector, [30], saturated=2)
     collect(core, collector, [31], saturated=1)
     collect(core, collector, range(32, 93))
     assert [block[3] for block in waiting(core, collector)] == [2, 1, 0]
+    later = range(93, 93 + 31 * len(collector.blocks))  # In the places of those, one after the other.
+    collect(core, collector, later)
+    assert [block[3] for block in waiting(core, collector)] == [0] * len(collector.blocks)
+    collect(core, collector, [later.stop], saturated=4)
+    collect(core, collector, range(later.stop + 31, later.stop + 62))
+    assert waiting(core, collector) == [(later.stop // 31 + 1, 0, later.stop + 31, 0)]
 
 
 @pytest.mark.parametrize("degree", DEGREES)
@@ -115,7 +157,8 @@ def test_sums_in_tesla(core, gold_family, degree, count):
     expected = np.concatenate([columns, np.ones((1, CHIPS))]) @ field_T
     assert (sums.number, sums.cycle, sums.chip, sums.count, sums.unmeasured) == (77, 9, chip, count, 0)
     assert [sums.bits[i] for i in range(count)] == words(columns).tolist()
-    assert np.allclose([list(sums.sums_T[i]) for i in range(count + 1)], expected, rtol=0, atol=31 * 200e-6 * 2e-6)
+    # To a sixth of what one count of one conversion makes.
+    assert np.allclose([list(sums.sums_T[i]) for i in range(count + 1)], expected, rtol=0, atol=2e-9)
 
 
 @pytest.mark.parametrize(
