@@ -1,9 +1,5 @@
 #include "core/codes/separation.h"
 
-/* Smallest accepted determinant of the 2 x 2 matrix over (N + 1)^2: far above rounding, far below that of any list
- * that can be separated. */
-#define LEAST_DETERMINANT 1e-3f
-
 bool separation_init(separation_t *separation, uint32_t chips, const uint16_t *codes, const int16_t *sums,
                      uint32_t count) {
     separation->count = 0;
@@ -11,7 +7,7 @@ bool separation_init(separation_t *separation, uint32_t chips, const uint16_t *c
     if (count > SEPARATION_CODES_MAX) {
         return false;
     }
-    float sum = 0.0f, square = 0.0f;
+    int64_t sum = 0, square = 0;
     for (uint32_t i = 0; i < count; i++) {
         for (uint32_t j = 0; j < i; j++) {
             if (codes[i] == codes[j]) {
@@ -22,21 +18,21 @@ bool separation_init(separation_t *separation, uint32_t chips, const uint16_t *c
             return false;
         }
         separation->sums[i] = sums[i];
-        sum += separation->sums[i];
-        square += separation->sums[i] * separation->sums[i];
+        sum += sums[i];
+        square += (int64_t)sums[i] * sums[i];
     }
-    /* The 2 x 2 matrix is a - V'U with a = N + 1, U = [1, s] and V = [1, s / N]. */
-    const float a = separation->chips + 1.0f;
-    const float m00 = a - (float)count, m01 = -sum, m10 = -sum / separation->chips,
-                m11 = a - square / separation->chips;
-    const float determinant = m00 * m11 - m01 * m10;
-    if (!(determinant > LEAST_DETERMINANT * a * a)) {
+    /* The 2 x 2 matrix is a - V'U with a = N + 1, U = [1, s] and V = [1, s / N]. Times N it is of integers, so that its
+     * determinant is 0 where nothing can separate the codes, and nowhere else. */
+    const int64_t a = (int64_t)chips + 1, m00 = a - count, m11 = a * chips - square;
+    const int64_t determinant = m00 * m11 - sum * sum;
+    if (determinant <= 0) {
         return false;
     }
-    separation->inverse[0][0] = m11 / determinant;
-    separation->inverse[0][1] = -m01 / determinant;
-    separation->inverse[1][0] = -m10 / determinant;
-    separation->inverse[1][1] = m00 / determinant;
+    const float scale = 1.0f / (float)determinant;
+    separation->inverse[0][0] = scale * (float)m11;
+    separation->inverse[0][1] = scale * (float)(sum * chips);
+    separation->inverse[1][0] = scale * (float)sum;
+    separation->inverse[1][1] = scale * (float)(m00 * chips);
     separation->count = count;
     return true;
 }
