@@ -57,14 +57,13 @@ bool epoch_feed(epoch_collector_t *collector, uint32_t absolute_chip, uint32_t c
         despread_t *despread = &epoch->despread;
         const uint32_t expected = absolute_chip - epoch->first_chip; /* It is the code chip, unless the clock jumped. */
         if (code_chip == 0u && expected == collector->family->length) { /* The last chips of the cycle are missing. */
-            despread_skip(despread, expected - despread->chip);
             complete = hand_over(collector);
         } else if (expected != code_chip || code_chip < despread->chip) {
             if (collector->began_locked) {
                 drop(collector);
             }
             collector->collecting = false; /* Otherwise the clock has only now found its master: nothing is lost. */
-        } else if (code_chip > despread->chip) {
+        } else {
             despread_skip(despread, code_chip - despread->chip);
         }
     }
@@ -84,10 +83,7 @@ bool epoch_feed(epoch_collector_t *collector, uint32_t absolute_chip, uint32_t c
     epoch->cycle = cycle;
     epoch->saturated = (uint16_t)(epoch->saturated + (saturated ? 1u : 0u));
     epoch->locked = epoch->locked && locked;
-    if (epoch->despread.chip == collector->family->length) {
-        complete = hand_over(collector) || complete;
-    }
-    return complete;
+    return epoch->despread.chip == collector->family->length ? hand_over(collector) : complete;
 }
 
 epoch_t *epoch_ready(epoch_collector_t *collector) {

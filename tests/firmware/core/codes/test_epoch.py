@@ -20,6 +20,19 @@ def test_burst(core, burst):
     assert saturated == bool(((counts == 0) | (counts == 4095)).any())
 
 
+@pytest.mark.parametrize("others", [1, 2048, 4094])
+def test_one_saturated_conversion_of_a_burst_is_seen(core, others):
+    """At either rail, and not next to it, whatever the conversions beside it."""
+    ffi, lib = core
+    sample = ffi.new("int16_t[3]")
+    for place in np.ndindex(8, 3):
+        for count, saturated in ((0, True), (1, False), (4094, False), (4095, True)):
+            burst = np.full((8, 3), others)
+            burst[place] = count
+            assert lib.epoch_sample(ffi.new("uint16_t[8][3]", burst.tolist()), sample) == saturated, (place, count)
+            assert list(sample) == (burst.sum(axis=0) - 8 * 2048).tolist()
+
+
 @pytest.fixture
 def collector(core):
     ffi, lib = core
@@ -73,6 +86,36 @@ def despread_of(core, epoch):
     return ffi.addressof(epoch, "despread")
 
 
+def test_of_a_cycle_is_read_what_was_fed(core, gold_family, collector):
+    """And nothing is written behind the codes of the selection."""
+    ffi, lib = core
+    codes = [7, 1000]
+    selection, sums = ffi.new("epoch_selection_t *"), ffi.new("epoch_sums_t *")
+    lib.epoch_select(selection, lib.gold_family(10), codes, len(codes))
+    feed(core, collector, range(100))
+    feed(core, collector, range(110, 115), saturated=True)
+    feed(core, collector, range(115, N))
+    epoch = lib.epoch_ready(collector)
+    lib.despread_transform(despread_of(core, epoch))
+    ffi.buffer(sums)[:] = b"\xa5" * ffi.sizeof("epoch_sums_t")
+    lib.epoch_read(epoch, selection, sums)
+    assert (sums.cycle, sums.chips, sums.missing, sums.saturated, sums.locked) == (0, N, 10, 5, True)
+    heard = gold_family(10)[codes].sum(axis=1) - gold_family(10)[codes, 100:110].sum(axis=1)
+    assert [list(sums.correlation[i]) for i in range(2)] == [[h, 2 * h, -h] for h in heard.tolist()]
+    assert list(sums.sum) == [N - 10, 2 * (N - 10), 10 - N]
+    assert set(bytes(ffi.buffer(sums.correlation))[2 * 12 :]) == {0xA5}
+    lib.epoch_release(collector)
+    feed(core, collector, range(N, 2 * N), locked=False)
+    epoch = lib.epoch_ready(collector)
+    lib.despread_transform(despread_of(core, epoch))
+    lib.epoch_read(epoch, selection, sums)
+    assert (sums.cycle, sums.missing, sums.saturated, sums.locked) == (1, 0, 0, False)
+    lib.epoch_release(collector)
+    feed(core, collector, range(2 * N, 3 * N))
+    lib.epoch_read(lib.epoch_ready(collector), selection, sums)
+    assert (sums.cycle, sums.missing, sums.saturated, sums.locked) == (2, 0, 0, True)  # In the place of the first one.
+
+
 def test_a_gap_across_the_end_drops_the_cycle(core, collector):
     ffi, lib = core
     feed(core, collector, [*range(1000), *range(N + 5, 2 * N)])
@@ -96,6 +139,37 @@ def test_a_jump_of_the_chip_clock_drops_the_cycle(core, collector, lost_at):
             assert collector.dropped == (0 if lost_at == 0 else 1)
             assert lib.epoch_ready(collector) == ffi.NULL
     assert lib.epoch_ready(collector).first_chip == len(labels) - N
+
+
+@pytest.mark.parametrize(
+    ("fed", "absolute", "label"), [(400, 400, 0), (1000, N, 5), (1000, N, N - 1), (1000, N - 1, 0)]
+)
+def test_a_jump_to_the_end_of_a_cycle_or_at_it_drops_it(core, collector, fed, absolute, label):
+    """The cycle is over when its chips are, and the code says so too."""
+    ffi, lib = core
+    feed(core, collector, range(fed))
+    assert not lib.epoch_feed(collector, absolute, 0, label, ffi.new("int16_t[3]"), False, True)
+    assert lib.epoch_ready(collector) == ffi.NULL
+    assert collector.dropped == 1
+
+
+def test_a_clock_that_finds_its_master_amid_a_cycle_leaves_that_cycle_out(core, collector):
+    """However often it jumps back: as many chips as a cycle has, of several ones, are none."""
+    ffi, lib = core
+    for absolute, label in enumerate([*range(400), *range(100, N)]):
+        assert not lib.epoch_feed(collector, absolute, 0, label, ffi.new("int16_t[3]"), False, False)
+    assert lib.epoch_ready(collector) == ffi.NULL
+    assert collector.dropped == 0
+
+
+@pytest.mark.parametrize("chips", [range(N, 2 * N), [*range(N, 2 * N - 5), 2 * N]])
+@pytest.mark.parametrize(("before", "after"), [(0, 1), (2**32 - 2, 2**32 - 1), (2**32 - 1, 2**32 - 1)])
+def test_nobody_is_told_of_a_cycle_that_was_dropped(core, collector, chips, before, after):
+    """It is counted, to the end of 32 bits."""
+    feed(core, collector, range(N))
+    collector.dropped = before
+    assert not any(feed(core, collector, chips))
+    assert collector.dropped == after
 
 
 def test_while_main_holds_a_cycle_later_ones_are_dropped_never_mixed(core, collector):
