@@ -6,8 +6,10 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "core/codes/block_sums.h"
 #include "core/codes/epoch.h"
 #include "core/codes/gold.h"
+#include "core/codes/separation.h"
 #include "core/codes/strongest.h"
 #include "core/drive/current.h"
 #include "core/drive/waveform.h"
@@ -72,6 +74,52 @@ static void despread(void) {
                 }
                 (void)strongest_choose(&strongest, &epoch->despread, noise() % 70u, &selection);
                 epoch_release(&collector);
+            }
+        }
+    }
+}
+
+/* What is read of a cycle and of blocks with a full list of codes, and what becomes of it. */
+static void lists(void) {
+    static epoch_t epoch;
+    static block_collector_t collector;
+    static epoch_selection_t selection;
+    static code_bits_t bits;
+    for (uint32_t degree = 5; degree <= GOLD_DEGREE_MAX; degree += degree == 7 ? 2u : 1u) {
+        const gold_family_t *family = gold_family(degree);
+        uint16_t codes[EPOCH_CODES_MAX];
+        int16_t sums_of[EPOCH_CODES_MAX];
+        for (uint32_t i = 0; i < EPOCH_CODES_MAX; i++) {
+            codes[i] = (uint16_t)((7u * i + noise() % 2u) % (family->length + 2u));
+        }
+        (void)epoch_select(&selection, family, codes, EPOCH_CODES_MAX);
+        code_bits_init(&bits, family);
+        block_collect_init(&collector, family->length);
+        despread_start(&epoch.despread, family);
+        for (uint32_t t = 0; t < family->length; t++) {
+            const int16_t sample[EPOCH_AXES] = {INT16_MIN, INT16_MAX, (int16_t)(noise() & 0xFFFFu)};
+            despread_store(&epoch.despread, sample);
+            block_collect(&collector, t, 0, t, sample, noise() & 7u, true);
+        }
+        despread_transform(&epoch.despread);
+        epoch_sums_t sums;
+        epoch_read(&epoch, &selection, &sums);
+        const epoch_calibration_t calibration = {.matrix = {{1e-7f, 1e-9f, 0}, {0, 1e-7f, 0}, {0, 0, 1e-7f}}};
+        for (uint32_t i = 0; i < selection.count; i++) {
+            float field_T[EPOCH_AXES];
+            epoch_field(&sums, &calibration, &selection, i, field_T);
+            (void)epoch_integer(field_T[0], 1e-10f);
+            sums_of[i] = selection.codes[i].sum;
+        }
+        for (const block_samples_t *block; (block = block_ready(&collector)) != NULL; block_release(&collector)) {
+            block_sums_t of_block;
+            block_sums(block, &bits, &selection, &calibration, &of_block);
+        }
+        separation_t separation;
+        float field[SEPARATION_CODES_MAX] = {1.0f};
+        for (uint32_t count = 0; count <= SEPARATION_CODES_MAX; count++) {
+            if (separation_init(&separation, family->length, codes, sums_of, count)) {
+                separation_apply(&separation, 1.0f, field);
             }
         }
     }
@@ -313,6 +361,7 @@ static void store(void) {
 int main(void) {
     gold();
     despread();
+    lists();
     clocks();
     field_stages();
     currents();

@@ -84,4 +84,5 @@ def test_unknown_codes_are_refused(core):
         assert not lib.gold_start(generator, degree, 0, 0)
     assert not lib.gold_start(generator, 10, 1025, 0)
     assert generator.family == ffi.NULL
-    assert lib.gold_sum(10, 1025) == 0
+    assert [lib.gold_sum(10, code) for code in (1024, 1025)] == [-1, 0]
+    assert [lib.gold_sum(degree, 0) for degree in (7, 8)] == [15, 0]
