@@ -6,7 +6,7 @@
 #define KIND_IN  4u /* The code is in the selection. */
 #define SUMS     3u
 
-#define CLASSES      232u /* Classes of strengths below 2^59: four in each octave. */
+#define CLASSES      228u /* Classes of strengths from 4 to 2^59: four in each octave. */
 #define ENTER        8u   /* Times the noise, above which a code enters. */
 #define STAY_HALVES  5u   /* Halves of the noise, below which it leaves. */
 #define EXCEED       2u   /* Times the sum of the weakest and what enters, above which it is replaced. */
@@ -39,9 +39,8 @@ static int32_t sum_of(const gold_family_t *family, uint32_t kind) {
 }
 
 void strongest_init(strongest_t *strongest, const gold_family_t *family, despread_t *scratch) {
-    memset(strongest, 0, sizeof *strongest);
     strongest->family = family;
-    const int16_t one[DESPREAD_AXES] = {1, 1, 1}; /* Correlated with 1, each code gives its sum. */
+    const int16_t one[DESPREAD_AXES] = {1}; /* Correlated with 1, each code gives its sum. */
     despread_start(scratch, family);
     for (uint32_t t = 0; t < family->length; t++) {
         despread_store(scratch, one);
@@ -107,16 +106,14 @@ static void model(strongest_t *strongest, const despread_t *despread, const epoc
 
 /* ---- Noise ---- */
 
+/* Strengths below 4 count as four more, which makes no noise above N. */
 static uint32_t class_of(uint64_t value) {
-    if (value < 4u) {
-        return (uint32_t)value;
-    }
-    const uint32_t octave = 63u - (uint32_t)__builtin_clzll(value);
-    return 4u * (octave - 1u) + ((uint32_t)(value >> (octave - 2u)) & 3u);
+    const uint32_t octave = 61u - (uint32_t)__builtin_clzll(value | 4u); /* That from 4 to 7 is the first. */
+    return 4u * octave + ((uint32_t)(value >> octave) & 3u);
 }
 
 static uint64_t class_begin(uint32_t i) {
-    return i < 4u ? i : (uint64_t)(4u + i % 4u) << (i / 4u - 1u);
+    return (uint64_t)(4u + i % 4u) << i / 4u;
 }
 
 /* Returns the upper quartile of count values. */

@@ -30,7 +30,7 @@
  *             makes one replace the other in less than 1 of 30,000 cycles, as (a + b)^2 <= 2 (a^2 + b^2), and 8 Q is
  *             (5.7 s)^2, 4 standard deviations of a difference of two |d|. Without noise it is a factor of 1.41.
  *
- * Where strengths are equal the lower code is preferred.
+ * Of newcomers of equal strength the lower code is preferred, of codes in the selection the one that comes last in it.
  *
  * Rounds. What enters changes the noise, as a code that is not in the selection leaks into all others: by 1/1000 of its
  * field, unbalanced ones into unbalanced ones by 1/200 (degree 10). So a round takes in only what is well above that of

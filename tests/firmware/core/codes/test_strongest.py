@@ -1,5 +1,6 @@
 """The choice of the strongest codes against brute force: exact fractions and whole matrices of chips."""
 
+import math
 from fractions import Fraction
 
 import numpy as np
@@ -20,6 +21,7 @@ class Chooser:
         self.state = self.ffi.new("strongest_t *")
         self.despread = self.ffi.new("despread_t *")
         self.selection = self.ffi.new("epoch_selection_t *")
+        self.ffi.buffer(self.state)[:] = b"\xa5" * self.ffi.sizeof("strongest_t")
         self.lib.strongest_init(self.state, self.family, self.despread)
         self.lib.strongest_clear(self.state, self.selection)
 
@@ -37,6 +39,20 @@ class Chooser:
     def choose(self, samples, most, missing=()):
         """Choose from a cycle of samples, shape (N, 3). Returns whether anything changed."""
         self.transform(samples, missing)
+        return self.lib.strongest_choose(self.state, self.despread, most, self.selection)
+
+    def choose_of(self, correlations, most, others=(0, 0, 0)):
+        """Choose from correlations by code, those of all other codes being alike and the plain sums 0.
+
+        Balanced codes whose fields are below half a count in sum leave them as they are: a code's strength is then the
+        sum of their squares.
+        """
+        words = np.tile(np.array(others, dtype=np.int32)[:, None], (1, 2048))
+        for code, correlation in correlations.items():
+            words[:, self.lib.despread_word(self.family, code)] = correlation
+        self.ffi.buffer(self.despread.words)[:] = words.tobytes()
+        self.ffi.buffer(self.despread.sum)[:] = bytes(12)
+        self.despread.missing = 0
         return self.lib.strongest_choose(self.state, self.despread, most, self.selection)
 
     @property
@@ -115,6 +131,10 @@ class Reference:
         for _ in range(ROUNDS):
             strengths = self.strengths(samples)
             self.own = [strengths[code] for code in self.codes]
+            while len(self.codes) > most:
+                del self.codes[self.own.index(min(self.own))]
+                strengths = self.strengths(samples)
+                self.own = [strengths[code] for code in self.codes]
             self.q = self.noise(strengths)
             absent = [code for code in range(self.length + 1) if code not in self.codes]
             largest = max(strengths[code] for code in absent)
@@ -186,6 +206,24 @@ def test_equals_brute_force_in_cycle_after_cycle(core, gold_family, data):
         fields = {code: field * rng.uniform(0.5, 1.6) for code, field in fields.items()}
 
 
+@pytest.mark.parametrize("degree", [5, 6, 7])
+@pytest.mark.parametrize("seed", range(4))
+def test_equals_brute_force_while_beacons_come_and_go(core, gold_family, degree, seed):
+    """Short codes, and another number of wanted ones in each cycle; some beacons are off in some of them."""
+    rng, chips = np.random.default_rng([degree, seed]), gold_family(degree)
+    chooser, reference = Chooser(core, degree), Reference(chips)
+    fields = far_fields(rng, chips.shape[1], 7)
+    for most in (8, 3, 8, 1, 6, 0, 8):
+        heard = {code: field for code, field in fields.items() if rng.random() < 0.7}
+        samples = scene(rng, chips, heard, rng.uniform(-4000, 4000, 3), 3.0 * seed)
+        before, changed = chooser.codes, chooser.choose(samples, most)
+        reference.choose(samples, most)
+        assert chooser.codes == reference.codes
+        assert chooser.strengths == reference.own
+        assert chooser.state.noise == reference.q
+        assert changed or before == chooser.codes
+
+
 def test_words_and_sums_of_the_selection(core, gold_family):
     """What is read by the selection is what a list of the same codes reads."""
     ffi, lib = core
@@ -207,8 +245,8 @@ def test_most_codes(core, gold_family, degree):
     chooser = Chooser(core, degree)
     codes = rng.permutation(2**degree)[:80].tolist()
     fields = {code: [0, 0, 20.0 * 1.02**i] for i, code in enumerate(codes)}
-    for _ in range(3):
-        chooser.choose(scene(rng, chips, fields, noise=10.0), 64)
+    for most in (64, 65, 1000):  # More than 64 have no room in a report.
+        chooser.choose(scene(rng, chips, fields, noise=10.0), most)
     assert len(set(chooser.codes)) == 64
     weakest_in = min(fields[code][2] for code in chooser.codes)
     strongest_out = max(fields[code][2] for code in set(codes) - set(chooser.codes))
@@ -268,6 +306,119 @@ def test_none_are_wanted(core, gold_family):
     assert chooser.codes == [4]
     assert chooser.choose(samples, 0)
     assert chooser.codes == []
+
+
+def test_what_has_left_can_come_again(core):
+    """As it is heard no more, as fewer are wanted, as another one takes its place, or as all begins anew."""
+    chooser = Chooser(core, 10)
+    beacons = {0: (400, 0, 0), 1023: (0, 450, 0), 500: (0, 0, 350)}
+    assert chooser.choose_of(beacons, 3)
+    assert chooser.codes == [1023, 0, 500]
+    assert chooser.choose_of({}, 3)
+    assert chooser.codes == []
+    assert chooser.choose_of(beacons, 3)
+    assert chooser.choose_of(beacons, 1)
+    assert chooser.codes == [1023]
+    assert chooser.choose_of(beacons, 3)
+    assert not chooser.choose_of(beacons, 3)
+    assert chooser.codes == [1023, 0, 500]
+    assert chooser.choose_of({**beacons, 7: (0, 0, 499)}, 2)
+    assert chooser.codes == [1023, 0]
+    assert chooser.choose_of({1023: (0, 450, 0), 0: (100, 0, 0), 7: (0, 0, 499)}, 2)
+    assert chooser.codes == [1023, 7]
+    assert chooser.choose_of(beacons, 3)
+    assert chooser.codes == [1023, 500, 0]  # The last one has the place of 7, which is heard no more.
+    chooser.lib.strongest_clear(chooser.state, chooser.selection)
+    assert chooser.codes == []
+    assert chooser.choose_of(beacons, 3)
+    assert chooser.codes == [1023, 0, 500]
+
+
+@pytest.mark.parametrize("place", [0, 1, 2])
+def test_the_weakest_goes_wherever_it_is(core, place):
+    """For a stronger one, which has its place then, as fewer are wanted, and as it is no longer heard."""
+    sizes = [400, 410, 420]
+    sizes[place] = 200
+    beacons = {code: tuple(row) for code, row in zip((4, 5, 6), np.diag(sizes).tolist(), strict=True)}
+    others = [code for i, code in enumerate((4, 5, 6)) if i != place]
+    for cycle, most, codes in (
+        ({**beacons, 9: (-490, 0, 0)}, 3, [9 if i == place else code for i, code in enumerate((4, 5, 6))]),
+        (beacons, 2, others),
+        ({code: beacons[code] for code in others}, 3, others),
+    ):
+        chooser = Chooser(core, 10)
+        chooser.choose_of({4: (450, 0, 0), 5: (0, 440, 0), 6: (0, 0, 430)}, 3)
+        assert chooser.codes == [4, 5, 6]
+        assert chooser.choose_of(cycle, most)
+        assert chooser.codes == codes
+        assert chooser.strengths == [sum(x * x for x in cycle[code]) for code in codes]
+
+
+def three_squares(total):
+    """Return three numbers whose squares have this sum, the largest first."""
+    for x in range(math.isqrt(total), -1, -1):
+        for y in range(math.isqrt(total - x * x), -1, -1):
+            z = math.isqrt(total - x * x - y * y)
+            if x * x + y * y + z * z == total:
+                return x, y, z
+    raise ValueError(f"{total} is no sum of three squares")
+
+
+@pytest.mark.parametrize(("beyond", "comes"), [(0, False), (1, True)])
+def test_a_code_enters_above_eight_times_the_noise(core, beyond, comes):
+    """With silence beside it the noise is N; behind a stronger one, too."""
+    square = 8 * 1023 + beyond
+    chooser = Chooser(core, 10)
+    assert chooser.choose_of({50: three_squares(square)}, 3) == comes
+    assert (chooser.codes, chooser.state.noise) == ([50] if comes else [], 1023)
+    chooser = Chooser(core, 10)
+    assert chooser.choose_of({50: three_squares(square), 3: (0, 490, 0)}, 3)
+    assert chooser.codes == ([3, 50] if comes else [3])
+
+
+@pytest.mark.parametrize(("beyond", "replaces"), [(0, False), (1, True)])
+def test_a_code_replaces_above_twice_the_weakest_and_what_enters(core, beyond, replaces):
+    """Where the selection was full before, and where it is since a still stronger one has come in the same round."""
+    weakest = 301
+    square = three_squares(2 * (weakest**2 + 8 * 1023) + beyond)
+    for stronger in ({}, {3: (0, 0, 490)}):
+        chooser = Chooser(core, 10)
+        chooser.choose_of({700: (0, weakest, 0)}, 4)
+        assert chooser.codes == [700]
+        chooser.choose_of({700: (0, weakest, 0), 50: square, **stronger}, 1 + len(stronger))
+        assert chooser.codes == [50 if replaces else 700, *stronger]
+
+
+@pytest.mark.parametrize(("strength", "stays"), [(5120, True), (5118, False)])
+def test_a_code_stays_down_to_two_and_a_half_times_the_noise(core, strength, stays):
+    """Of 2048: all other codes have that strength."""
+    chooser = Chooser(core, 10)
+    chooser.choose_of({2: (300, 0, 0), 9: (400, 0, 0)}, 4, others=(32, 32, 0))
+    assert (chooser.codes, chooser.state.noise) == ([9, 2], 2048)
+    assert chooser.choose_of({2: (300, 0, 0), 9: three_squares(strength)}, 4, others=(32, 32, 0)) != stays
+    assert (chooser.codes, chooser.state.noise) == ([9, 2] if stays else [2], 2048)
+    assert chooser.strengths == ([strength, 90_000] if stays else [90_000])
+
+
+def test_of_equal_codes_in_the_selection_the_last_stays(core):
+    chooser = Chooser(core, 10)
+    beacons = {4: (300, 0, 0), 5: (0, 300, 0)}
+    chooser.choose_of(beacons, 2)
+    assert chooser.codes == [4, 5]
+    assert chooser.choose_of(beacons, 1)
+    assert chooser.codes == [5]
+
+
+def test_of_degree_5_one_comes_in_a_round(core, gold_family):
+    """A newcomer leaks as much into others as a third of its field: three of four are there behind the first cycle."""
+    chips = gold_family(5)
+    fields = {code: [size, 0, 0] for code, size in ((3, 900.0), (20, 1000.0), (11, 950.0), (30, 850.0))}
+    samples = scene(np.random.default_rng(1), chips, fields, noise=0.0)
+    chooser = Chooser(core, 5)
+    assert chooser.choose(samples, 4)
+    assert chooser.codes == [20, 11, 3]
+    assert chooser.choose(samples, 4)
+    assert chooser.codes == [20, 11, 3, 30]
 
 
 def test_of_equal_codes_the_lower_come(core, gold_family):
