@@ -1,0 +1,60 @@
+"""The lines that the current loop fits to what was asked and what came, against least squares in double precision."""
+
+import numpy as np
+import pytest
+
+from tests.firmware.core.drive.current_loop import HOLDING, RAMPING, SENSE, configure
+
+
+@pytest.mark.parametrize(
+    ("sizes", "gains", "offsets"),
+    [
+        (True, (0.52, 0.49), (4.0, -6.0)),
+        (True, (0.68, 0.39), (-135.0, 135.0)),
+        (False, (0.52, 0.49), (0.0, 0.0)),
+        (False, (0.68, 0.39), (0.0, 0.0)),
+    ],
+)
+def test_lines_are_those_of_least_squares(core, sizes, gains, offsets):
+    """Block after block, with old ones forgotten; what comes of a line keeps to its limits, with 5 counts of zero.
+
+    Lines 2 and 4 are beyond them: gains of 0.5 / 1.25 and 0.5 / 0.75, offsets of a tenth of 1280 counts.
+    """
+    _, lib = core
+    rng, sense_zero = np.random.default_rng(1), 5
+    loop, _ = configure(core, 10.0, over=15.9, sizes=sizes)
+    for _ in range(300):
+        lib.current_sample(loop, False, 0, 2048 + sense_zero)
+    lib.current_start(loop)
+    chips: tuple[list[list[float]], list[list[float]]] = ([], [])
+    for block in range(37):
+        assert loop.state == (RAMPING if block < 33 else HOLDING)
+        before = [(line.scale - line.shift) / 16 for line in loop.line]
+        for row in (*chips[0], *chips[1]):
+            row[0] *= 0.875 if block < 33 else 0.96875
+        for _ in range(31):
+            negative, asked = int(rng.integers(0, 2)), int(rng.integers(1600, 2560))
+            along = round(gains[negative] * asked + offsets[negative] + rng.normal(0, 2.0))
+            chips[negative].append([1.0, asked, along])
+            sign = -1 if negative else 1
+            assert lib.current_sample(loop, True, sign * asked, 2048 + sense_zero + sign * along) == 0
+        target = 10.0 * min((block + 1) / 33, 1.0)
+        levels, counts = [], []
+        for line, rows, begun, sign in zip(loop.line, chips, before, (1, -1), strict=True):
+            weight, asked_of, along_of = np.array([*rows, [1 / 16, 0.0, 0.0]]).T
+            columns = np.stack([asked_of, np.ones_like(asked_of)][: 1 + sizes], axis=1) * np.sqrt(weight)[:, None]
+            fit = np.linalg.lstsq(columns, along_of * np.sqrt(weight), rcond=None)[0]
+            gain, offset = fit[0], fit[1] if sizes else 0.0
+            assert line.gain == pytest.approx(gain, rel=2e-4)
+            assert line.offset == pytest.approx(offset, abs=0.2)
+            levels.append((begun * gain + offset) * SENSE)
+            kept, part = np.clip(gain, 0.4, 0.5 / 0.75), np.clip(offset, -128.0, 128.0)
+            assert line.gain_q / 65536 == pytest.approx(kept, rel=2e-4)
+            assert line.offset_q == pytest.approx(part + sign * sense_zero, abs=1.2)
+            assert line.shift == pytest.approx(16 * part / kept, abs=8.0)
+            assert line.scale == pytest.approx(min(16 * target / (kept * SENSE), 65520.0), rel=3e-4, abs=1.0)
+            counts.append(min((line.scale - line.shift + 8) // 16, 4095))
+        assert loop.target_A == pytest.approx(target, rel=1e-5)
+        assert loop.measured_A == pytest.approx(np.mean(levels), abs=0.005)
+        assert loop.dc_A == pytest.approx((levels[0] - levels[1]) / 2, abs=0.005)
+        assert loop.reference == max(counts)
