@@ -58,3 +58,35 @@ def test_lines_are_those_of_least_squares(core, sizes, gains, offsets):
         assert loop.measured_A == pytest.approx(np.mean(levels), abs=0.005)
         assert loop.dc_A == pytest.approx((levels[0] - levels[1]) / 2, abs=0.005)
         assert loop.reference == max(counts)
+
+
+@pytest.mark.parametrize("sizes", [False, True])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_direction_that_was_never_asked_has_the_line_of_a_driver_without_error(core, sizes, sign):
+    """What is told of the current is that of the other direction alone, and there is no direct current."""
+    _, lib = core
+    loop, _ = configure(core, 10.0, sizes=sizes)
+    lib.current_start(loop)
+    for chip in range(62):
+        asked = 1600 + 10 * chip
+        assert lib.current_sample(loop, True, sign * asked, 2048 + sign * round(0.52 * asked)) == 0
+    asked_of, never = loop.line[sign < 0], loop.line[sign > 0]
+    assert (never.gain, never.offset, never.gain_q, never.offset_q, never.shift) == (0.5, 0.0, 32768, 0, 0)
+    assert never.scale == pytest.approx(16 * 10.0 * 2 / 33 / 0.5 / SENSE, abs=1.0)
+    assert asked_of.gain == pytest.approx(0.52, rel=1e-3)
+    assert asked_of.scale == pytest.approx(never.scale * 0.5 / 0.52, rel=2e-3)
+    assert loop.measured_A == pytest.approx(10.0 / 33, abs=0.005)  # What the first block planned.
+    assert loop.dc_A == 0.0
+    assert loop.reference == (asked_of.scale - asked_of.shift + 8) // 16
+
+
+def test_no_more_is_planned_than_the_largest_set_point(core):
+    """15.9 A would take 4285 counts."""
+    _, lib = core
+    loop, _ = configure(core, 15.9, over=15.95)
+    lib.current_start(loop)
+    for chip in range(34 * 31):
+        sign, asked = 1 - 2 * (chip % 2), 2000 + chip
+        assert lib.current_sample(loop, True, sign * asked, 2048 + sign * round(0.475 * asked)) == 0
+    assert [line.scale for line in loop.line] == [16 * 4095] * 2
+    assert loop.reference == 4095
