@@ -97,6 +97,12 @@ static void lists(void) {
         block_collect_init(&collector, family->length);
         despread_start(&epoch.despread, family);
         for (uint32_t t = 0; t < family->length; t++) {
+            uint16_t burst[EPOCH_BURST][EPOCH_AXES];
+            int16_t of_burst[EPOCH_AXES];
+            for (uint32_t i = 0; i < EPOCH_BURST * EPOCH_AXES; i++) {
+                burst[i / EPOCH_AXES][i % EPOCH_AXES] = (uint16_t)(noise() & EPOCH_SAMPLE_MAX);
+            }
+            (void)epoch_sample((const uint16_t(*)[EPOCH_AXES])burst, of_burst);
             const int16_t sample[EPOCH_AXES] = {INT16_MIN, INT16_MAX, (int16_t)(noise() & 0xFFFFu)};
             despread_store(&epoch.despread, sample);
             block_collect(&collector, t, 0, t, sample, noise() & 7u, true);
