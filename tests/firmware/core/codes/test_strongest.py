@@ -391,7 +391,7 @@ def test_a_code_replaces_above_twice_the_weakest_and_what_enters(core, beyond, r
 
 @pytest.mark.parametrize(("strength", "stays"), [(5120, True), (5118, False)])
 def test_a_code_stays_down_to_two_and_a_half_times_the_noise(core, strength, stays):
-    """Of 2048: all other codes have that strength."""
+    """The noise is 2048: all other codes have that strength."""
     chooser = Chooser(core, 10)
     chooser.choose_of({2: (300, 0, 0), 9: (400, 0, 0)}, 4, others=(32, 32, 0))
     assert (chooser.codes, chooser.state.noise) == ([9, 2], 2048)
