@@ -141,8 +141,7 @@ static void fit(current_t *current, current_line_t *line, float sign) {
     const float zero = sign * current->zero;
     const float came = line->came - zero * line->count, product = line->product - zero * line->asked;
     if (!config->several_levels) {
-        line->gain = line->square > 0.0f ? product / line->square : nominal;
-        line->offset = 0.0f;
+        line->gain = line->square > 0.0f ? product / line->square : nominal; /* The offset stays 0. */
     } else {
         line->gain = spread > 0.0f ? (n * product - line->asked * came) / spread : nominal;
         line->offset = (came - line->gain * line->asked) / n;

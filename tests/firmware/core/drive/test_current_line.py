@@ -90,3 +90,17 @@ def test_no_more_is_planned_than_the_largest_set_point(core):
         assert lib.current_sample(loop, True, sign * asked, 2048 + sign * round(0.475 * asked)) == 0
     assert [line.scale for line in loop.line] == [16 * 4095] * 2
     assert loop.reference == 4095
+
+
+@pytest.mark.parametrize("sizes", [False, True])
+def test_an_amplitude_of_0_asks_for_nothing(core, sizes):
+    """Not even for what rounding would carry on to a count."""
+    _, lib = core
+    loop, _ = configure(core, 0.0, sizes=sizes)
+    lib.current_start(loop)
+    for chip in range(40 * 31):
+        sign = 1 - 2 * (chip % 2)
+        assert lib.current_set_point(loop, sign * 16384) == 0
+        assert lib.current_sample(loop, True, 0, 2048) == 0
+    assert [line.scale for line in loop.line] == [0, 0]
+    assert (loop.state, loop.reference, loop.measured_A) == (HOLDING, 0, 0.0)
