@@ -104,3 +104,27 @@ def test_an_amplitude_of_0_asks_for_nothing(core, sizes):
         assert lib.current_sample(loop, True, 0, 2048) == 0
     assert [line.scale for line in loop.line] == [0, 0]
     assert (loop.state, loop.reference, loop.measured_A) == (HOLDING, 0, 0.0)
+
+
+def test_the_reference_that_is_told_is_a_set_point(core):
+    """Where the offset asks for more than there is, and in the ramp where it is more than the target by itself."""
+    _, lib = core
+
+    def reference(amplitude, gain, offset, blocks):
+        loop, _ = configure(core, amplitude, over=15.95, sizes=True)
+        lib.current_start(loop)
+        for chip in range(31 * blocks):
+            sign, asked = 1 - 2 * (chip % 2), 800 + 55 * (chip % 31)
+            assert lib.current_sample(loop, True, sign * asked, 2048 + sign * round(gain * asked + offset)) == 0
+        wanted = [(line.scale - line.shift) / 16 for line in loop.line]
+        return loop.reference, max(wanted)
+
+    told, wanted = reference(15.9, 0.475, -100, 34)
+    assert (told, wanted > 4200) == (4095, True)
+    below = []
+    for offset in range(30, 90):
+        told, wanted = reference(10.0, 0.5, offset, 1)
+        assert told == pytest.approx(max(wanted, 0.0), abs=0.6), offset
+        below.append(wanted)
+    assert any(-2.4 < wanted < -1.6 for wanted in below)
+    assert max(below) > 1.0
