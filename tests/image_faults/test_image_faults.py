@@ -84,6 +84,14 @@ def test_no_instruction_that_orders_the_slots_is_needed_alone() -> None:
     check(done)
 
 
+@pytest.mark.slow
+def test_no_instruction_that_begins_the_boot_loader_is_needed_alone() -> None:
+    """The first of all, skipped, hid a confirmed image, and the place of a word another rejected it: both began B's."""
+    done = outcomes(named("older"), functions=("Reset_Handler", "flash_program"))
+    assert len(done) >= 80
+    check(done)
+
+
 SAVING = ("parameters_entry", "parameter_set_write", "storage_save", "storage_step", "requests_step")
 STORING = ("store_save", "store_next")
 

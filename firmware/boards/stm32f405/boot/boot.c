@@ -50,6 +50,28 @@ static const uint8_t *find_key(void) {
     return good ? place->key : NULL;
 }
 
+/* Returns where a slot begins; it is read anew at each call, as two of them are compared. */
+static uint32_t begin_of(uint32_t slot) {
+    static const uint32_t begins[IMAGE_SLOTS] = {IMAGE_SLOT_A, IMAGE_SLOT_B};
+    const volatile uint32_t *const begin = &begins[slot];
+    return *begin;
+}
+
+/* Whether both slots are looked at where they are: an instruction that went wrong would hide one of them, and the image
+ * in the other one, however old, would start as if there were no newer. */
+static bool slots_in_place(const image_flash_t *flash) {
+    return (uint32_t)flash->slot[0] == begin_of(0) && (uint32_t)flash->slot[1] == begin_of(1);
+}
+
+/* Programs a word, if its place is that of the step once it is read again: an instruction that went wrong would reject
+ * the image in the other slot. */
+static void program(const select_step_t *step) {
+    const volatile select_step_t *const again = step;
+    const uint32_t place = begin_of(step->slot) + step->index * sizeof(uint32_t);
+    if (place == begin_of(again->slot) + again->index * sizeof(uint32_t))
+        (void)flash_program((volatile uint32_t *)place, step->value);
+}
+
 /* Starts the watchdog of an image on trial. */
 static void watch(void) {
     IWDG->KR = IWDG_KR_KEY_START;
@@ -69,8 +91,6 @@ static __attribute__((noreturn)) void start(const uint32_t *slot) {
 }
 
 __attribute__((noreturn)) void Reset_Handler(void) {
-    static volatile uint32_t *const places[IMAGE_SLOTS] = {(volatile uint32_t *)IMAGE_SLOT_A,
-                                                           (volatile uint32_t *)IMAGE_SLOT_B};
     const image_flash_t flash = {
         .slot = {(const uint32_t *)IMAGE_SLOT_A, (const uint32_t *)IMAGE_SLOT_B},
         .address = {IMAGE_SLOT_A, IMAGE_SLOT_B},
@@ -80,8 +100,10 @@ __attribute__((noreturn)) void Reset_Handler(void) {
     };
     select_t select;
     select_open(&select, &flash);
+    if (!slots_in_place(&select.flash))
+        signal_for_ever();
     for (select_step_t step = select_next(&select); step.wanted; step = select_next(&select))
-        (void)flash_program(places[step.slot] + step.index, step.value);
+        program(&step);
     const select_choice_t choice = select_choice(&select);
     if (!choice.found)
         signal_for_ever();
