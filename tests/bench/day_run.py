@@ -20,6 +20,7 @@ import argparse
 import sys
 import tempfile
 import time
+from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TextIO
@@ -32,7 +33,8 @@ from goldfield.errors import SystemFailure, UserError
 from goldfield.sensor import dialogue, session
 from goldfield.sensor.options import Method, Options
 from goldfield.sensor.pipeline import Sensor
-from goldfield_protocol import encode
+from goldfield_protocol import decode, encode
+from goldfield_protocol.messages import TYPE_SHIFT, database
 from hil_sim.rig import Frame
 from hil_sim.scenario import Scenario, load_scenario, site_toml
 from hil_sim.world.roaming import Roaming
@@ -65,6 +67,9 @@ PPM_PER_K = 1.0
 """Largest size of what a crystal's error grows by with temperature."""
 EARTH = ((86400.0, 2e-7), (6100.0, 3e-7), (420.0, 1e-7))
 """Periods (s) and amplitudes (T) of the constant field's drift."""
+OPERATOR_S, OFF_S = 2.0, 0.5
+"""How long behind a fault a board is powered off that five trips in a row have locked out, and for how long."""
+HEALTH_TYPE = database().get_message_by_name("DRIVE_HEALTH").frame_id >> TYPE_SHIFT
 DRAIN_S = 1.0
 """Serial lines to which nobody listens are emptied so often."""
 BATCH = 64
@@ -135,6 +140,8 @@ class Day(Stage):
         self.ledger, self.judge = Ledger(), Judge(scenario.motion)
         self.hours: list[Hour] = []
         self.running_s = np.zeros(boards)
+        self.restarted: list[int] = []
+        self._locked_out: set[int] = set()
         self._first_cycle = CYCLES - round(wrap_s / CYCLE_S)
         for one in self.struck:
             self._await(one)
@@ -197,6 +204,24 @@ class Day(Stage):
         if frames:
             struck = self.struck_between(frames[0].time_s, self.rig.now_s)
             self.ledger.take(frames, None if struck is None else struck.kind)
+            for frame in frames:
+                if frame.identifier >> TYPE_SHIFT == HEALTH_TYPE:
+                    self._look_at_drive(frame)
+
+    def _look_at_drive(self, frame: Frame) -> None:
+        """Have a board whose drive is locked out, and cleared by nothing else, powered off and on behind the fault."""
+        message = decode(frame.identifier, frame.data)
+        if message is None or not message.signals["locked_out"] or message.node in self._locked_out:
+            return
+        board = 1 + [beacon.node for beacon in self.scenario.beacons].index(message.node)
+        mended_s = self.rig.now_s if self._now is None else max(self.rig.now_s, self._now.until_s)
+        self._locked_out.add(message.node)
+        self.at(mended_s + OPERATOR_S, lambda _: self._restart(board, message.node))
+
+    def _restart(self, board: int, node: int) -> None:
+        self._locked_out.discard(node)
+        self.restarted.append(node)
+        self.rig.power_cycle(board, OFF_S)
 
     # ---- The host ----
 
@@ -317,6 +342,7 @@ class Day(Stage):
         lines += [
             f"node {node} started, by cause: {dict(causes)}" for node, causes in sorted(self.ledger.starts.items())
         ]
+        lines += [f"powered off and on, their drives being locked out: {shown(Counter(self.restarted))}"]
         lines += [
             f"hour {one.hours:.2f}: {one.resident} bytes, {one.objects} objects, {one.held} held" for one in self.hours
         ]

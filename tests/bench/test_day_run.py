@@ -29,7 +29,7 @@ from tests.bench.day_memory import holdings, objects, resident_bytes, slope
 from tests.bench.day_run import GROWTH_BYTES_PER_H, OBJECTS_PER_H, Day, Hour
 from tests.campaign.kinds import KINDS
 from tests.campaign.links import silent, sound
-from tests.campaign.stage import CYCLE_S
+from tests.campaign.stage import CYCLE_S, Kind
 from tests.campaign.trial import LATE_CYCLES, TRANSFER_S
 
 MINUTE_H = 1.0 / 60.0
@@ -105,6 +105,23 @@ def test_a_counter_and_cycles_that_no_fault_explains_are_found() -> None:
     ]
     assert any("cycles lost behind no fault" in one for one in found)
     assert day.judge.lost[""] in (9, 10, 11)
+
+
+def test_a_drive_that_five_trips_in_a_row_lock_out_gets_its_power_anew() -> None:
+    """Nothing else brings it back: in the first whole day a beacon was gone for a quarter of an hour."""
+    day = Day(1.6 * MINUTE_H, 1)
+    opened = Kind(
+        "beacon",
+        "coil_open",
+        lambda stage: stage.rig.fault(2, "coil_open"),
+        lambda stage: (stage.rig.fault(2, "coil_open", active=False), stage.clear(2)),
+    )
+    for begin_s in (12.0, 16.0, 21.0, 28.0, 39.0):  # Behind the n-th trip a drive waits for 2^(n-1) s.
+        day._await(Struck(opened, begin_s, begin_s + 2.0))
+    assert struck(day) == []
+    assert day.restarted == [day.scenario.beacons[1].node]
+    assert sum(day.judge.not_plain.values()) == 0
+    assert day.judge.sound > 200
 
 
 class Along:
