@@ -74,3 +74,14 @@ class Board:
         target = self.clock.target - self.clock.code_chip * self.clock.period - (near % ONE) * ONE
         away = (target + 2**63) % 2**64 - 2**63
         return near + (away - span * round(away / span)) / ONE
+
+
+def used(core):
+    """A board whose every state is set: it compared, is detuned and late, holds a candidate, and learnt."""
+    board = Board(core)
+    edge = board.settled(edges=20)
+    board.edge(edge + CYCLE + 77_777)
+    board.lib.chip_clock_compare(board.clock, *board.place(edge + 3))
+    board.clock.detune_ticks, board.clock.late_ticks = 5, 6
+    board.clock.drift, board.clock.drift_edges, board.clock.edges_rejected = 7, 32, 0
+    return board, edge
