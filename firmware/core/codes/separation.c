@@ -7,7 +7,8 @@ bool separation_init(separation_t *separation, uint32_t chips, const uint16_t *c
     if (count > SEPARATION_CODES_MAX) {
         return false;
     }
-    int64_t sum = 0, square = 0;
+    int32_t sum = 0;
+    int64_t square = 0;
     for (uint32_t i = 0; i < count; i++) {
         for (uint32_t j = 0; j < i; j++) {
             if (codes[i] == codes[j]) {
@@ -23,16 +24,17 @@ bool separation_init(separation_t *separation, uint32_t chips, const uint16_t *c
     }
     /* The 2 x 2 matrix is a - V'U with a = N + 1, U = [1, s] and V = [1, s / N]. Times N it is of integers, so that its
      * determinant is 0 where nothing can separate the codes, and nowhere else. */
-    const int64_t a = (int64_t)chips + 1, m00 = a - count, m11 = a * chips - square;
-    const int64_t determinant = m00 * m11 - sum * sum;
+    const int32_t m00 = (int32_t)chips + 1 - (int32_t)count;
+    const int64_t m11 = (int64_t)(chips + 1u) * chips - square;
+    const int64_t determinant = m00 * m11 - (int64_t)sum * sum;
     if (determinant <= 0) {
         return false;
     }
     const float scale = 1.0f / (float)determinant;
     separation->inverse[0][0] = scale * (float)m11;
-    separation->inverse[0][1] = scale * (float)(sum * chips);
+    separation->inverse[0][1] = scale * ((float)sum * separation->chips);
     separation->inverse[1][0] = scale * (float)sum;
-    separation->inverse[1][1] = scale * (float)(m00 * chips);
+    separation->inverse[1][1] = scale * ((float)m00 * separation->chips);
     separation->count = count;
     return true;
 }
