@@ -51,25 +51,26 @@ static const uint8_t *find_key(void) {
 }
 
 /* Returns where a slot begins; it is read anew at each call, as two of them are compared. */
-static uint32_t begin_of(uint32_t slot) {
-    static const uint32_t begins[IMAGE_SLOTS] = {IMAGE_SLOT_A, IMAGE_SLOT_B};
-    const volatile uint32_t *const begin = &begins[slot];
+static volatile uint32_t *begin_of(uint32_t slot) {
+    static volatile uint32_t *const begins[IMAGE_SLOTS] = {(volatile uint32_t *)IMAGE_SLOT_A,
+                                                           (volatile uint32_t *)IMAGE_SLOT_B};
+    volatile uint32_t *const volatile *const begin = &begins[slot];
     return *begin;
 }
 
 /* Whether both slots are looked at where they are: an instruction that went wrong would hide one of them, and the image
  * in the other one, however old, would start as if there were no newer. */
 static bool slots_in_place(const image_flash_t *flash) {
-    return (uint32_t)flash->slot[0] == begin_of(0) && (uint32_t)flash->slot[1] == begin_of(1);
+    return flash->slot[0] == begin_of(0) && flash->slot[1] == begin_of(1);
 }
 
 /* Programs a word, if its place is that of the step once it is read again: an instruction that went wrong would reject
  * the image in the other slot. */
 static void program(const select_step_t *step) {
     const volatile select_step_t *const again = step;
-    const uint32_t place = begin_of(step->slot) + step->index * sizeof(uint32_t);
-    if (place == begin_of(again->slot) + again->index * sizeof(uint32_t))
-        (void)flash_program((volatile uint32_t *)place, step->value);
+    volatile uint32_t *const place = begin_of(step->slot) + step->index;
+    if (place == begin_of(again->slot) + again->index)
+        (void)flash_program(place, step->value);
 }
 
 /* Starts the watchdog of an image on trial. */
