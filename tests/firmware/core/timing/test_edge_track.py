@@ -225,7 +225,7 @@ def off_by(core, early, prior, by, deviation):
     track = new_track(core, prior)
     core[1].edge_track_update(track, burst_of(core, early), looks_of(core, shares, deviation**2, HALVES))
     both = likeliest(prior, COVARIANCE, early, shares, np.full(2, deviation**2), HALVES, prior)
-    return values(track), of(core, track), both, shares
+    return values(track), of(core, track).copy(), both, shares
 
 
 @pytest.mark.parametrize(
