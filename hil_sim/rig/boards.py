@@ -127,8 +127,12 @@ class HostBoards:
         )
 
 
+FLASHED = 0x0FFFAAE1
+"""Option bytes of a board that was programmed by a probe: brown-out level 3, which resets it below 2.7 V."""
+
+
 class EmulatedBoards:
-    """STM32F405s that run the images to be flashed, on the emulator.
+    """STM32F405s that run the images to be flashed, on the emulator, with the option bytes that come with them.
 
     Parameters
     ----------
@@ -165,7 +169,7 @@ class EmulatedBoards:
             temperature_degc=spec.clock.temperature_degC,
             temperature_K_per_s=spec.clock.temperature_K_per_s,
             stop_at_fault=False,
-            **self._traits,
+            **{"option_bytes": FLASHED, **self._traits},
         )
         emulator = Emulator(
             self._images / f"{spec.role}.elf",

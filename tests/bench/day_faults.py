@@ -106,8 +106,8 @@ def with_what_comes(scenario: Scenario, struck: list[Struck], random: np.random.
 # ---- Counters ----
 
 
-COUNTER_TYPE, RESET_TYPE = (
-    database().get_message_by_name(name).frame_id >> TYPE_SHIFT for name in ("COUNTER", "RESET_REPORT")
+COUNTER_TYPE, RESET_TYPE, HEALTH_TYPE = (
+    database().get_message_by_name(name).frame_id >> TYPE_SHIFT for name in ("COUNTER", "RESET_REPORT", "DRIVE_HEALTH")
 )
 POWER_ON = 0
 """The cause of a start, of RESET_REPORT, that a power cycle makes."""

@@ -34,11 +34,11 @@ from goldfield.sensor import dialogue, session
 from goldfield.sensor.options import Method, Options
 from goldfield.sensor.pipeline import Sensor
 from goldfield_protocol import decode, encode
-from goldfield_protocol.messages import TYPE_SHIFT, database
+from goldfield_protocol.messages import TYPE_SHIFT
 from hil_sim.rig import Frame
 from hil_sim.scenario import Scenario, load_scenario, site_toml
 from hil_sim.world.roaming import Roaming
-from tests.bench.day_faults import GAP_S, Ledger, Struck, plan, with_what_comes
+from tests.bench.day_faults import GAP_S, HEALTH_TYPE, Ledger, Struck, plan, with_what_comes
 from tests.bench.day_judge import CYCLES, Judge, Seen
 from tests.bench.day_memory import holdings, objects, resident_bytes, slope
 from tests.campaign.links import CanLink
@@ -69,7 +69,6 @@ EARTH = ((86400.0, 2e-7), (6100.0, 3e-7), (420.0, 1e-7))
 """Periods (s) and amplitudes (T) of the constant field's drift."""
 OPERATOR_S, OFF_S = 2.0, 0.5
 """How long behind a fault a board is powered off that five trips in a row have locked out, and for how long."""
-HEALTH_TYPE = database().get_message_by_name("DRIVE_HEALTH").frame_id >> TYPE_SHIFT
 DRAIN_S = 1.0
 """Serial lines to which nobody listens are emptied so often."""
 BATCH = 64

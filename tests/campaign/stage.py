@@ -12,15 +12,12 @@ import numpy as np
 from goldfield.nodes.conversation import CLEAR
 from goldfield_protocol import encode
 from hil_sim.rig import Rig
-from hil_sim.rig.boards import EmulatedBoards
 from hil_sim.scenario import Scenario
 from tests.campaign.links import CanLink, SerialLink
 
 CYCLE_S = 1023 * 16422 / 168e6
 FAULT_S = 4.0
 """How long a fault lasts unless its kind says otherwise."""
-FLASHED = 0x0FFFAAE1
-"""Option bytes of a board that `make flash` has programmed: brown-out level 3, which resets it below 2.7 V."""
 CLEAR_S = 0.5
 """So long after the mending a host clears what is latched: while a current still decays a board would refuse."""
 LOW_M, HIGH_M = np.array([0.4, 0.4, 0.4]), np.array([1.7, 1.7, 1.4])
@@ -107,8 +104,7 @@ class Stage:
         self.notes: dict[str, Any] = {}
         self.takes_s = 0.0
         self._due: list[_Due] = []
-        factory = EmulatedBoards(option_bytes=FLASHED) if boards == "emulated" else boards
-        self.rig = Rig(scenario, factory, threads=1)  # Trials run side by side, a process each.
+        self.rig = Rig(scenario, boards, threads=1)  # Trials run side by side, a process each.
 
     @property
     def beacons(self) -> int:

@@ -9,10 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from goldfield.update import program_board
-from hil_sim.emulator import Configuration
 from tests.campaign import __main__ as command
-from tests.campaign import stage
 from tests.campaign.carried import ball
 from tests.campaign.kinds import KINDS, NOTHING
 from tests.campaign.sensor_kinds import passing
@@ -180,9 +177,3 @@ def test_the_table_counts():
     assert table[2].split() == ["a:", "c", "1", "0", "-", "-", "0", "0", "0", "-"]
     assert table[3] == "2 kinds, 3 trials, 291 poses from the faults on, 2 wrong"
     assert table[4] == "1 ended: ended"
-
-
-def test_emulated_boards_are_as_flash_leaves_them() -> None:
-    """One as from the factory has no brown-out reset, and its processor errs where the supply sags."""
-    assert Configuration().option_bytes & ~program_board.BROWN_OUT == stage.FLASHED
-    assert Configuration().option_bytes & program_board.BROWN_OUT

@@ -64,12 +64,16 @@ static bool slots_in_place(const image_flash_t *flash) {
     return flash->slot[0] == begin_of(0) && flash->slot[1] == begin_of(1);
 }
 
-/* Programs a word, if its place is that of the step once it is read again: an instruction that went wrong would reject
- * the image in the other slot. */
+/* Returns where a word of a slot lies, once both are read again and lead there, too; NULL: they do not. An instruction
+ * that went wrong would reject the image in the other slot, or start it. */
+static volatile uint32_t *place_of(const volatile uint32_t *slot, const volatile uint32_t *index) {
+    volatile uint32_t *const place = begin_of(*slot) + *index;
+    return place == begin_of(*slot) + *index ? place : NULL;
+}
+
 static void program(const select_step_t *step) {
-    const volatile select_step_t *const again = step;
-    volatile uint32_t *const place = begin_of(step->slot) + step->index;
-    if (place == begin_of(again->slot) + again->index)
+    volatile uint32_t *const place = place_of(&step->slot, &step->index);
+    if (place != NULL)
         (void)flash_program(place, step->value);
 }
 
@@ -83,9 +87,8 @@ static void watch(void) {
     IWDG->KR = IWDG_KR_KEY_RELOAD;
 }
 
-/* Hands the processor over to an image, which lies behind its header. */
-static __attribute__((noreturn)) void start(const uint32_t *slot) {
-    const uint32_t *const table = slot + IMAGE_CODE;
+/* Hands the processor over to an image, which begins with this vector table. */
+static __attribute__((noreturn)) void start(const volatile uint32_t *table) {
     SCB->VTOR = (uint32_t)table;
     __asm volatile("dsb\n\tisb\n\tmsr msp, %0\n\tbx %1" ::"r"(table[0]), "r"(table[1]) : "memory");
     __builtin_unreachable();
@@ -106,11 +109,13 @@ __attribute__((noreturn)) void Reset_Handler(void) {
     for (select_step_t step = select_next(&select); step.wanted; step = select_next(&select))
         program(&step);
     const select_choice_t choice = select_choice(&select);
-    if (!choice.found)
+    static const uint32_t code = IMAGE_CODE;
+    const volatile uint32_t *const table = place_of(&choice.slot, &code);
+    if (!choice.found || table == NULL)
         signal_for_ever();
     if (choice.trial)
         watch();
-    start(flash.slot[choice.slot]);
+    start(table);
 }
 
 /* All that is not the start is a fault, since no interrupt is ever switched on. */
