@@ -128,7 +128,7 @@ class HostBoards:
 
 
 FLASHED = 0x0FFFAAE1
-"""Option bytes of a board that was programmed by a probe: brown-out level 3, which resets it below 2.7 V."""
+"""Option bytes of a board that a probe has programmed: brown-out level 3, a reset from 2.83 V until 2.92 V are back."""
 
 
 class EmulatedBoards:

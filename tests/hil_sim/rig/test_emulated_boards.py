@@ -3,11 +3,14 @@
 import pytest
 
 from goldfield.errors import SystemFailure, UserError
+from goldfield.update import program_board
 from goldfield_protocol import decode, encode
 from goldfield_protocol.image import KEY_PLACE, SLOTS
 from hil_sim import scenario
+from hil_sim.emulator import Configuration
 from hil_sim.emulator.kept_flash import CELLS, FLASH
 from hil_sim.rig import Rig
+from hil_sim.rig.boards import FLASHED, EmulatedBoards
 from tests.hil_sim.rig.fakes import FakeBoards, small, write_scenario
 
 KEY = "0123456789abcdef" * 4
@@ -39,12 +42,40 @@ def test_host_boards_refuse_an_event_that_they_cannot_follow(tmp_path):
         Rig(with_tables(tmp_path, SAG.format(2.0)), "host")
 
 
-def test_a_processor_whose_supply_sags_by_scenario(tmp_path):
+def test_boards_have_the_option_bytes_that_a_probe_leaves():
+    assert Configuration().option_bytes & ~program_board.BROWN_OUT == FLASHED != Configuration().option_bytes
+
+
+def test_a_processor_whose_supply_sags_by_scenario_is_reset_until_it_is_back(tmp_path):
+    """Level 3 of the brown-out reset is 2.83 V falling and 2.92 V rising (DS8626, table 19)."""
+    with Rig(with_tables(tmp_path, SAG.format(2.84)), "emulated") as rig:
+        assert ran(rig, 0.02) > ran(rig, 0.01) > 1000
+    with Rig(with_tables(tmp_path, SAG.format(2.82)), "emulated") as rig:
+        assert ran(rig, 0.02) > 1000 > ran(rig, 0.01)
+        rig.supply(1, 2.91)
+        assert ran(rig, 0.01) == 0
+        rig.supply(1, 2.93)
+        assert ran(rig, 0.01) > 1000
+        assert rig.statistics(1)["violations"] == 0
+
+
+def ran(rig, seconds):
+    """How many instructions beacon a executes in this time."""
+    before = rig.statistics(1)["instructions"]
+    rig.advance(seconds)
+    return rig.statistics(1)["instructions"] - before
+
+
+def as_from_the_factory():
+    return EmulatedBoards(option_bytes=Configuration().option_bytes)
+
+
+def test_a_processor_that_no_probe_has_programmed_errs_where_its_supply_sags(tmp_path):
     """Below 2.7 V 168 MHz need more wait states than there are, which stops the board: nothing resets it."""
-    with Rig(with_tables(tmp_path, SAG.format(2.72)), "emulated") as rig:
+    with Rig(with_tables(tmp_path, SAG.format(2.72)), as_from_the_factory()) as rig:
         rig.advance(0.03)
         assert rig.statistics(1)["violations"] == 0
-    with Rig(with_tables(tmp_path, SAG.format(2.68)), "emulated") as rig:
+    with Rig(with_tables(tmp_path, SAG.format(2.68)), as_from_the_factory()) as rig:
         rig.advance(0.02)
         with pytest.raises(SystemFailure, match=r"beacon a stopped(.|\n)*too few wait states"):
             rig.advance(0.01)
@@ -53,10 +84,10 @@ def test_a_processor_whose_supply_sags_by_scenario(tmp_path):
 def test_a_processor_has_its_own_supply_by_scenario(tmp_path):
     """Too little from the start, and a little less than nominal."""
     keys = {"crystal_ppm": "20.0\nprocessor_supply_V = {}"}
-    with Rig(small(tmp_path, crystal_ppm=keys["crystal_ppm"].format(2.72)), "emulated") as rig:
+    with Rig(small(tmp_path, crystal_ppm=keys["crystal_ppm"].format(2.72)), as_from_the_factory()) as rig:
         rig.advance(0.02)
     with (
-        Rig(small(tmp_path, crystal_ppm=keys["crystal_ppm"].format(2.68)), "emulated") as rig,
+        Rig(small(tmp_path, crystal_ppm=keys["crystal_ppm"].format(2.68)), as_from_the_factory()) as rig,
         pytest.raises(SystemFailure, match=r"the sensor stopped(.|\n)*too few wait states"),
     ):
         rig.advance(0.02)
