@@ -4,10 +4,12 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from goldfield import site as sites
 from goldfield.site.model import Survey
 from hil_sim.clib import ROOT
+from tests.firmware.core.pose.explaining import Place
 
 
 @pytest.fixture(scope="session")
@@ -21,3 +23,9 @@ def mixed_cube():
     rows = [dataclasses.replace(b, axis=a, survey=sure) for b, a in zip(site.beacons, axes, strict=True)]
     sensor = dataclasses.replace(site.sensor, gain_sd=0.0, axis_sd_rad=0.0)
     return dataclasses.replace(site, beacons=tuple(rows), sensor=sensor)
+
+
+@pytest.fixture(scope="session")
+def place(mixed_cube):
+    """A pose among them, with its fields."""
+    return Place(mixed_cube, [0.8, 1.3, 0.7], Rotation.from_rotvec([0.4, -0.9, 1.7]))

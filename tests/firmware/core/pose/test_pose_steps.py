@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from goldfield.site.model import HalfSpace
+from tests.firmware.core.pose.explaining import HOPELESS, NO_POSE, SIGMA_T, SUSPECT, Place
 from tests.firmware.core.pose.test_pose import (
     AMBIGUOUS,
     FAILED,
@@ -19,14 +20,8 @@ from tests.firmware.core.pose.test_pose import (
     Sensor,
     lattice,
 )
-from tests.firmware.core.pose.test_pose_explain import HOPELESS, NO_POSE, SIGMA_T, SUSPECT, Place
 
 FEW, NOISE, RIVAL, PENDING = 1, 2, 8, 14
-
-
-@pytest.fixture(scope="module")
-def place(mixed_cube):
-    return Place(mixed_cube, [0.8, 1.3, 0.7], Rotation.from_rotvec([0.4, -0.9, 1.7]))
 
 
 class Board:
