@@ -2,8 +2,10 @@
 
 import ctypes
 import fcntl
+import re
 import subprocess
 
+import numpy as np
 import pytest
 
 from tests.mutants import c_build
@@ -126,3 +128,16 @@ def test_one_process_builds_at_a_time(monkeypatch, tmp_path):
     monkeypatch.setattr(c_build, "OUT", tmp_path)
     monkeypatch.setattr(c_build, "_build", is_locked)
     assert c_build.build() == "built"
+
+
+def test_the_figures_of_the_page_add_up():
+    """Its prose tells the sums of its table, in which each mutant is killed, named or neither."""
+    page = (HERE / "README.md").read_text()
+    rows = [re.findall(r"\| (\d+) (?=\|)", row + "|") for row in page.splitlines() if row.endswith("| 0 |")]
+    counts = [[int(count) for count in row[-4:]] for row in rows]
+    assert all(mutants == killed + named + unnamed for mutants, killed, named, unnamed in counts)
+    said = r"So far ([\d,]+) of the core and ([\d,]+) of the locator .*: ([\d,]+) were killed, ([\d,]+) are named"
+    told = re.search(said, " ".join(page.split()))
+    core, locator, *rest = (int(number.replace(",", "")) for number in told.groups())
+    mutants, killed, named, _ = np.sum(counts, axis=0)
+    assert [core + locator, *rest] == [mutants, killed, named]
