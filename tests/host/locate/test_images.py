@@ -126,7 +126,7 @@ def test_no_image_is_taken_for_the_pose_where_the_coil_that_tells_them_apart_is_
 
 @pytest.mark.parametrize(("at_once", "steps"), [(48, [48]), (47, [47, 1])])
 def test_the_images_of_all_beacons_are_fitted_in_one_step(monkeypatch, at_once, steps):
-    """A hall's coils, nearly flat but for one: fitted one after another the images of 120 took .3 s a pose."""
+    """A hall's coils, nearly flat but for one: fitted one after another the images of 120 took .2 s a pose."""
     rng = np.random.default_rng(8)
     places = [(3.0 * i, 3.0 * j, float(rng.normal(0.0, 0.02))) for i in range(4) for j in range(4)]
     places[5] = (3.0, 3.0, 0.3)
