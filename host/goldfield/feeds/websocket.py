@@ -16,6 +16,7 @@ from typing import cast
 
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
+from websockets.protocol import State
 from websockets.typing import Origin
 
 from goldfield.errors import tell
@@ -120,6 +121,7 @@ class WebSocketFeed:
         self._origins = [None, *(Origin(one) for one in address.options.get("origin", "").split(",") if one)]
         self._consumers: set[Consumer] = set()
         self._told_of_most = False
+        self._connected: set[ServerConnection] = set()
         opened = _listening(address)
         self.port = int(opened.getsockname()[1])
         self._loop = asyncio.new_event_loop()
@@ -149,7 +151,9 @@ class WebSocketFeed:
             max_size=1024,
             server_header=None,
             backlog=BACKLOG,
-            create_connection=type("Counted", (_Counted,), {"connected": set(), "turn_away": self._turn_away}),
+            create_connection=type(
+                "Counted", (_Counted,), {"connected": self._connected, "turn_away": self._turn_away}
+            ),
         )
 
     def _turn_away(self) -> None:
@@ -187,7 +191,9 @@ class WebSocketFeed:
         waiting = [asyncio.create_task(consumer.idle.wait()) for consumer in self._consumers]
         if waiting:
             await asyncio.wait(waiting, timeout=LAST_S)
-        for connection in self._server.connections:
+        for connection in self._connected:
+            if connection.state is State.CONNECTING:
+                connection.transport.abort()  # It has said nothing yet, and would be waited for.
             connection.close_timeout = LAST_S
         self._server.close()
         await self._server.wait_closed()

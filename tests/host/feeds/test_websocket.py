@@ -6,6 +6,7 @@ import json
 import socket
 import subprocess
 import sys
+from functools import partial
 from itertools import pairwise
 
 import pytest
@@ -17,6 +18,7 @@ from goldfield.feeds import websocket
 from goldfield.feeds.address import parse_address
 from goldfield.feeds.opening import open_feed
 from goldfield.feeds.websocket import CAPACITY, Consumer, WebSocketFeed
+from goldfield.view.listening import BACKLOG
 from hil_sim.clib import ROOT
 from tests.host.feeds.made import UNIX_S, pose, setting, stamped
 from tests.host.free_port import free_port
@@ -169,17 +171,26 @@ feed.close()
 """
 
 
-def test_more_connections_than_the_system_has_files_for_leave_the_run_its_own(tmp_path):
-    """They say nothing; the last is served or ended like any other, so that all before it were taken."""
+def test_a_connection_that_has_said_nothing_does_not_hold_up_the_end(monkeypatch):
+    """The end does not wait until the library gives such a one up, as this one never does."""
+    monkeypatch.setattr(websocket, "serve", partial(websocket.serve, open_timeout=None))
+    feed = WebSocketFeed(parse_address("ws://127.0.0.1:0"), setting())
+    with socket.create_connection(("127.0.0.1", feed.port)), joined(feed):  # The second: so the first was taken.
+        feed.close()
+
+
+def test_more_connections_than_the_system_has_files_for_leave_the_run_its_own():
+    """Most say nothing; the last of each few is answered or ended, so that all before it were taken."""
     command = [sys.executable, "-c", SILENT]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, cwd=ROOT, stdin=pipe, stdout=pipe, stderr=pipe, text=True) as process:
         port = int(process.stdout.readline())
         with contextlib.ExitStack() as stack:
-            taken = [stack.enter_context(socket.create_connection(("127.0.0.1", port))) for _ in range(400)]
-            with contextlib.suppress(OSError):
-                taken[-1].sendall(b"no HTTP\r\n\r\n")
-                taken[-1].recv(100)
+            for _ in range(400 // BACKLOG):  # More at once would be asked to come again a second later.
+                few = [stack.enter_context(socket.create_connection(("127.0.0.1", port))) for _ in range(BACKLOG)]
+                with contextlib.suppress(OSError):
+                    few[-1].sendall(b"no HTTP\r\n\r\n")
+                    few[-1].recv(100)
             _, err = process.communicate("go on\n")
     assert process.returncode == 0
     assert err == "goldfield: ws://127.0.0.1:0: 100 consumers are connected, and no more are let in\n"
