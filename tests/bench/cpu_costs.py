@@ -2,7 +2,8 @@
 
 ``python -m pytest -p tests.bench.cpu_costs ...`` runs tests as ever, with ``-n`` too, and prints at the end which cost
 most. The time of the processes that a test starts and waits for counts. What a fixture of a module or a session sets up
-counts to the test that comes first.
+counts to the test that comes first. The tests that took most time beyond that are told too: on an idle machine, they
+wait, for a clock, a browser or a process that nobody waits for.
 """
 
 from __future__ import annotations
@@ -41,15 +42,17 @@ def pytest_runtest_makereport(item):
 
 
 def pytest_terminal_summary(terminalreporter):
-    by_test, by_file = defaultdict(float), defaultdict(float)
+    by_test, by_file, waited = defaultdict(float), defaultdict(float), defaultdict(float)
     for reports in terminalreporter.stats.values():
         for report in reports:
             for name, spent_s in getattr(report, "user_properties", ()):
                 if name == PROPERTY:
                     by_test[report.nodeid] += spent_s
                     by_file[report.nodeid.partition("::")[0]] += spent_s
-    terminalreporter.section(f"processor time: {sum(by_test.values()):.0f} s in {len(by_test)} tests")
-    for costs in (by_test, by_file):
+                    waited[report.nodeid] += report.duration - spent_s
+    total_s, waited_s = sum(by_test.values()), sum(waited.values())
+    terminalreporter.section(f"processor time: {total_s:.0f} s in {len(by_test)} tests, and {waited_s:.0f} s without")
+    for costs in (by_test, by_file, waited):
         for name, spent_s in sorted(costs.items(), key=lambda entry: -entry[1])[:SHOWN]:
             terminalreporter.write_line(f"{spent_s:8.2f} s  {name}")
         terminalreporter.write_line("")
