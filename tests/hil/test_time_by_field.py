@@ -136,10 +136,10 @@ def test_the_image_goes_over_from_wire_to_can_to_field_and_back(watch: Callable[
     """Three beacons and a sensor, emulated: too few for a sound pose, enough to be followed."""
     made = watch(boards="emulated", beacons=3)
     followed = []
-    for wire, can in ((True, True), (False, True), (False, False), (True, False)):
+    for wire, can, seconds in ((True, True, 1.2), (False, True, 1.2), (False, False, 1.8), (True, False, 1.5)):
         made.wire(wire)
         made.can(can)
-        made.run(2.5)
+        made.run(seconds)
         made.check_in_step()
         followed.append(made.source())
     assert followed == [WIRE, CAN, FIELD, WIRE]

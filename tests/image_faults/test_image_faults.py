@@ -77,6 +77,7 @@ def test_no_instruction_that_hands_a_request_on_is_needed_alone() -> None:
     check(done)
 
 
+@pytest.mark.slow
 def test_no_instruction_that_orders_the_slots_is_needed_alone() -> None:
     """The store of the second place, skipped, once started an older image: the newer one was never looked at."""
     done = outcomes(named("older"), functions=("select_open",))

@@ -74,7 +74,7 @@ def test_the_chip_takes_what_is_signed_and_confirms_it(tmp_path, capsys, monkeyp
     link.board.close()
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_chip_refuses_what_another_key_has_signed(tmp_path, capsys, monkeypatch):
     link = link_to_a_new_board()
     code, out, told = run(monkeypatch, link, "flash", signed(tmp_path, capsys, OTHER_KEY), "9")
