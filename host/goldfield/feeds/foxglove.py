@@ -6,6 +6,7 @@ The topics are those of a recording in MCAP (`goldfield.foxglove.topics`), but f
 from __future__ import annotations
 
 import math
+import threading
 
 import foxglove
 from foxglove.websocket import WebSocketServer
@@ -21,6 +22,8 @@ from goldfield.nodes.roster import Roster
 
 BACKLOG = 512
 """Messages that wait for one consumer; the oldest goes if there is no room."""
+LAST_S = 1.0
+"""How long the end waits for the SDK: its server ends when all consumers have gone, or have said what they are."""
 
 
 def open_feed(address: Address, setting: Setting) -> Feed:
@@ -71,8 +74,10 @@ class FoxgloveFeed:
         self._telling.line(stamped.line, stamped.unix_s, now_s, now_s if stamped.live else math.nan)
 
     def close(self) -> None:
-        """End the server."""
-        self._server.stop()
+        """End the server; one that a connection which says nothing holds up goes on until the program ends."""
+        stopping = threading.Thread(target=self._server.stop, daemon=True)
+        stopping.start()
+        stopping.join(LAST_S)
 
     def _listening(self, address: Address) -> WebSocketServer:
         try:

@@ -4,6 +4,7 @@ import base64
 import contextlib
 import json
 import math
+import socket
 import struct
 
 import mcap.records
@@ -164,3 +165,12 @@ def test_it_tells_where_it_listens(capsys):
     feed = open_feed(parse_address("foxglove://:0"), setting())
     feed.close()
     assert capsys.readouterr().err == f"goldfield: foxglove://:0: serves Foxglove at ws://127.0.0.1:{feed.port}\n"
+
+
+def test_a_connection_that_says_nothing_does_not_hold_up_the_end():
+    """The SDK's server waits for such a one for ever."""
+    feed = open_feed(parse_address("foxglove://127.0.0.1:0"), setting())
+    with socket.create_connection(("127.0.0.1", feed.port)):
+        with connect(f"ws://127.0.0.1:{feed.port}", subprotocols=["foxglove.sdk.v1"]):
+            pass  # The first has been taken, too.
+        feed.close()
