@@ -1,8 +1,8 @@
 """Chi-square and normal distributions as far as location needs them: whole degrees of freedom, few numbers at a time.
 
-The functions have the names and the meaning of those in ``scipy.special``, whose import takes a quarter of the
-processor time up to the first pose. The tail of chi-square is a sum of half as many terms as it has degrees of freedom
-(Abramowitz and Stegun, Handbook of Mathematical Functions, 26.4.4 and 26.4.5).
+`gammaincc`, `chdtri` and `ndtri` have the names and the meaning of those in ``scipy.special``, whose import takes a
+quarter of the processor time up to the first pose. The tail of chi-square is a sum of half as many terms as it has
+degrees of freedom (Abramowitz and Stegun, Handbook of Mathematical Functions, 26.4.4 and 26.4.5).
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from goldfield.types import FloatArray
 
@@ -51,6 +51,27 @@ def gammaincc(shape: ArrayLike, value: ArrayLike) -> FloatArray:
         return _many(shape, value)
     halves = zip(shape.ravel().tolist(), value.ravel().tolist(), strict=True)
     return np.array([_tail(_whole(2.0 * one), half) for one, half in halves]).reshape(shape.shape)
+
+
+def probability(cost: FloatArray, freedom: NDArray[np.intp]) -> FloatArray:
+    """Return the probability of a cost at least as large if model and noise are right (chi-square).
+
+    It is 1 where there is no redundancy.
+
+    Parameters
+    ----------
+    cost : ndarray, shape (e,)
+    freedom : ndarray of int, shape (e,)
+        Components minus unknowns.
+    """
+    if len(cost) == 1:  # as often as not: one epoch takes all ways
+        one, degrees = float(cost[0]), float(freedom[0])
+        known = math.isfinite(one)
+        if degrees > 0.0:
+            return gammaincc(degrees / 2.0, one / 2.0 if known else math.inf).reshape(1)
+        return np.array([float(known)])
+    finite = np.where(np.isfinite(cost), cost, np.inf)
+    return np.where(freedom > 0, gammaincc(np.maximum(freedom, 1) / 2.0, finite / 2.0), np.isfinite(cost) * 1.0)
 
 
 def chdtri(freedom: ArrayLike, probability: ArrayLike) -> FloatArray:

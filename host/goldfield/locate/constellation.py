@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
-from functools import cache, cached_property
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,11 +11,12 @@ from numpy.typing import NDArray
 from goldfield.field import FieldModel
 from goldfield.locate import kernel
 from goldfield.locate.budget import LEAST_EVALUATIONS
-from goldfield.locate.chances import chdtri, gammaincc
+from goldfield.locate.chances import probability
 from goldfield.locate.fault_statistics import fault_statistics
 from goldfield.locate.field_shell_search import Shell, best_apart, profiled_attitude, profiled_loss
 from goldfield.locate.fit import Fit, Measurements, fit_pose, stacked
 from goldfield.locate.mirror import Mirror, Reach, find_mirrors
+from goldfield.locate.silence import audible
 from goldfield.locate.solutions import Solutions, nowhere, unsolved
 from goldfield.locate.spread import Spread
 from goldfield.locate.starts import MAGNITUDE_ERROR, SIMPLE_RANGE_ERROR, log_magnitudes, simple_magnitudes
@@ -69,13 +69,6 @@ CANDIDATE_EVALUATIONS = 20
 
 FITTED = 8
 """Those that are fitted to the end."""
-
-SILENCE = 1e-4
-"""Fields are nothing but noise unless those without the strongest beacon are less likely than this to be noise.
-
-One beacon alone gives no pose. Noise alone passes in fewer than one epoch of 10,000 then, noise beside one beacon in
-one of 10,000. What is lost are far poses: the energy over the noise that passes in half of the epochs is 30 for eight
-beacons, 2.1 standard deviations each; of poses at the limit of `weak` by distance, .5 to 2 % fail."""
 
 MORE_ITERATIONS = 1000
 """Evaluations for a fit that has not converged as quickly as nearly all do: along a curved ridge near a coil."""
@@ -436,43 +429,6 @@ class Constellation:
         decided = contested & (right != other)
         outside = ~(right | (contested & other))
         return replace(solutions, contested=contested & ~decided, outside=outside)
-
-
-def audible(measurements: Measurements) -> NDArray[np.bool_]:
-    """Tell which epochs, shape (e,), are more than noise and at most one beacon; see `SILENCE`."""
-    energy = (measurements.magnitude_T / measurements.sigma_T) ** 2
-    strongest = energy.argmax(axis=1)
-    everyone = np.arange(len(energy))
-    count = measurements.count - measurements.measured.sum(axis=2)[everyone, strongest]
-    energy[everyone, strongest] = 0.0
-    return np.asarray(energy.sum(axis=1) > _of_silence(3 * energy.shape[1])[count])
-
-
-@cache
-def _of_silence(components: int) -> FloatArray:
-    """Return the energies that so many components of noise, and of fewer, exceed in `SILENCE` of the epochs."""
-    return chdtri(np.maximum(np.arange(components + 1.0), 1.0), SILENCE)
-
-
-def probability(cost: FloatArray, freedom: NDArray[np.intp]) -> FloatArray:
-    """Return the probability of a cost at least as large if model and noise are right (chi-square).
-
-    It is 1 where there is no redundancy.
-
-    Parameters
-    ----------
-    cost : ndarray, shape (e,)
-    freedom : ndarray of int, shape (e,)
-        Components minus unknowns.
-    """
-    if len(cost) == 1:  # as often as not: one epoch takes all ways
-        one, degrees = float(cost[0]), float(freedom[0])
-        known = math.isfinite(one)
-        if degrees > 0.0:
-            return gammaincc(degrees / 2.0, one / 2.0 if known else math.inf).reshape(1)
-        return np.array([float(known)])
-    finite = np.where(np.isfinite(cost), cost, np.inf)
-    return np.where(freedom > 0, gammaincc(np.maximum(freedom, 1) / 2.0, finite / 2.0), np.isfinite(cost) * 1.0)
 
 
 def _sorted(fits: Fit) -> Fit:

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 
 from goldfield.locate import sentences
 from goldfield.locate.beacon_faults import beacon_finding
-from goldfield.locate.chances import chdtri
-from goldfield.locate.constellation import SECOND_EVALUATIONS, Constellation, probability
+from goldfield.locate.chances import chdtri, probability
+from goldfield.locate.constellation import SECOND_EVALUATIONS, Constellation
 from goldfield.locate.exclusion import (
     CLEAR,
     LEAST_FOR_ONE,

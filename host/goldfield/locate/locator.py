@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from goldfield.field import FieldModel
 from goldfield.locate import sentences
 from goldfield.locate.budget import Budget
-from goldfield.locate.constellation import Constellation, audible
+from goldfield.locate.constellation import Constellation
 from goldfield.locate.fault_statistics import alarm, fault_statistics
 from goldfield.locate.fit import Measurements
 from goldfield.locate.images import image_distance_m
 from goldfield.locate.integrity import Verdict, explain
 from goldfield.locate.poses import Judged, poses_of
 from goldfield.locate.sensor_axes import axes_of
+from goldfield.locate.silence import audible
 from goldfield.locate.site_errors import errors_of
 from goldfield.site import Site
 from goldfield.types import LEAST_SIGMA_T, Fields, FloatArray, Pose, usable_components
@@ -50,7 +51,7 @@ class Locator:
         """Locate one epoch, with no prior; bad data never raise, the status tells.
 
         - ``failed``: fewer than three beacons, fewer components than unknowns, fields that are nothing but noise
-          (`constellation.SILENCE`), no finite solution, or one from which nothing would be heard (`poses.HEARD`);
+          (`silence.SILENCE`), no finite solution, or one from which nothing would be heard (`poses.HEARD`);
           position NaN.
         - ``inconsistent``: the fields do not agree with the site (`fault_statistics`) and leaving out one beacon or two
           does not clearly mend it (`integrity`), or the only solution lies outside the site's half-space.

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from goldfield.locate import sentences
-from goldfield.locate.chances import chdtri
-from goldfield.locate.constellation import SECOND_EVALUATIONS, Constellation, probability
+from goldfield.locate.chances import chdtri, probability
+from goldfield.locate.constellation import SECOND_EVALUATIONS, Constellation
 from goldfield.locate.distorted import Distorted, fit_distorted
 from goldfield.locate.fault_statistics import DISTORTIONS
 from goldfield.locate.fit import Fit, Measurements

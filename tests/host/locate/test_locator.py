@@ -10,8 +10,9 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, ncx2
 
 from goldfield.locate import Locator, locate
-from goldfield.locate.constellation import SILENCE, Constellation, audible
+from goldfield.locate.constellation import Constellation
 from goldfield.locate.fit import Measurements
+from goldfield.locate.silence import SILENCE, audible
 from goldfield.types import Fields, Status
 from tests.bench import locate_trials as bench
 
