@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,7 +92,7 @@ class _Figures:
     nearest_m: FloatArray  # (e,), `FieldModel.nearest_m`
     strange: NDArray[np.bool_]  # (e,), outside the room in which the metal was learned
 
-    @property
+    @cached_property
     def weak(self) -> NDArray[np.bool_]:
         far = self.position_sd_m > WEAK_POSITION * self.nearest_m
         return np.asarray(far | (self.turn_sd_rad > WEAK_ATTITUDE_RAD))
@@ -102,10 +103,7 @@ def poses_of(epochs: Sequence[Fields], judged: Judged) -> list[Pose]:
     solutions = judged.solutions
     figures = _figures(judged, judged.measurements, solutions.best, judged.statistics, solutions.covariance_widening)
     figures = _with_images(figures, judged.images_m)
-    plain = ~(solutions.outside | solutions.contested | solutions.bounded | figures.weak)
-    plain &= (figures.protection_m <= judged.site.alert_limit_m) & ~figures.strange
-    plain[list(judged.verdicts)] = False
-    told = [_SOUND if sound else _told(judged, figures, e) for e, sound in enumerate(plain.tolist())]
+    told = [_told(judged, figures, e) for e in range(len(epochs))]
     alternatives: dict[int, Pose] = {}
     contested = np.flatnonzero(solutions.contested)
     if len(contested):
@@ -170,11 +168,8 @@ class _Told:
     findings: tuple[Finding, ...] = ()
 
 
-_SOUND = _Told(Status.OK)
-
-
 def _told(judged: Judged, figures: _Figures, e: int) -> _Told:
-    """Return what is told of an epoch that is not plainly ok: the first that holds."""
+    """Return what is told of an epoch: the first that holds."""
     solutions, limit = judged.solutions, judged.site.alert_limit_m
     verdict = judged.verdicts.get(e)
     if verdict is not None:
@@ -193,7 +188,7 @@ def _told(judged: Judged, figures: _Figures, e: int) -> _Told:
     level, beacon = float(figures.protection_m[e]), judged.names[int(figures.worst_beacon[e])]
     if not level <= limit:  # a limit that is no number allows nothing
         return _Told(Status.UNVERIFIED, sentences.unverified(beacon, level, limit))
-    return _SOUND
+    return _Told(Status.OK)
 
 
 def _built(

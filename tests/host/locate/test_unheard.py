@@ -5,18 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from goldfield.field import FieldModel
 from goldfield.locate import Locator
-from goldfield.locate.fault_statistics import fault_statistics
-from goldfield.locate.fit import Measurements, fit_pose
-from goldfield.locate.poses import HEARD, Judged, poses_of
-from goldfield.locate.solutions import unsolved
 from goldfield.types import Fields, Status
 from tests.bench.integrity_coils import Coils, measured
 from tests.bench.integrity_sites import cube, hall, sigma_of, told
 from tests.bench.locate_trials import cube_positions, fields_of
 
-MU0 = 4e-7 * np.pi
 ANY_SITE_M = 100.0
 """No site here is so large, and from no place beyond it would one of its beacons be heard."""
 
@@ -68,24 +62,3 @@ def test_what_explains_the_fields_is_told_all_the_same():
         (finding,) = pose.findings
         assert finding.factor == pytest.approx(0.01, rel=0.01)
         assert pose.reason.endswith(finding.text)
-
-
-@pytest.mark.parametrize(("share", "status"), [(1.02, Status.WEAK), (0.98, Status.FAILED)])
-def test_a_pose_is_lost_where_all_beacons_together_are_no_stronger_than_the_noise(share, status):
-    """On the axis of three coils in one place, whose field there is the textbook's."""
-    beacon = cube(2e-8).beacons[0]
-    distance_m = 40.0
-    strength_T = MU0 * beacon.turns * beacon.current_A * beacon.radius_m**2 / 2.0
-    strength_T /= (beacon.radius_m**2 + distance_m**2) ** 1.5
-    model = FieldModel([beacon] * 3)
-    sigma_T = np.sqrt(3.0 / (HEARD * share)) * abs(strength_T)
-    measurements = Measurements(np.zeros((1, 3, 3)), np.full((1, 3), sigma_T))
-    place = beacon.position_m + distance_m * beacon.axis
-    fit = fit_pose(model, measurements, place[None], np.eye(3)[None], iterations=0)
-    solutions = unsolved(fit)
-    solutions.bounded[:] = False
-    statistics = fault_statistics(model, measurements, fit)
-    names = ("b0", "b1", "b2")
-    judged = Judged(cube(2e-8), model, names, measurements, solutions, statistics, {}, np.zeros((1, 3)))
-    (pose,) = poses_of([Fields(0, 0.0, names, np.zeros((3, 3)), np.ones(3))], judged)
-    assert pose.status is status
