@@ -114,9 +114,7 @@ class Locator:
         sigma = np.where(usable.any(axis=2), np.maximum(sigma, LEAST_SIGMA_T), 1.0)
         if self._axes is not None:
             field, sigma = self._axes.components(field), self._axes.noise_ratio * sigma
-        if self.site.metal is not None:
-            sigma = np.hypot(sigma, [beacon.unknown_T for beacon in self.site.beacons])
-        return field, sigma
+        return field, np.hypot(sigma, [beacon.unknown_T for beacon in self.site.beacons])
 
     def _grouped(
         self, epochs: Sequence[Fields]
