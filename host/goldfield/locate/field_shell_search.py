@@ -155,20 +155,20 @@ def unit_vector_fit(field: FloatArray, value: FloatArray, weight: FloatArray) ->
     """
     weighted = field * weight[:, None]
     eigenvalue, vector = np.linalg.eigh(weighted.swapaxes(1, 2) @ field)
-    c = np.einsum("mnc,n->mc", weighted, value)
-    along = np.einsum("mck,mc->mk", vector, c)
-    size = np.linalg.norm(c, axis=1)
+    along = np.einsum("mck,mnc,n->mk", vector, weighted, value)
     lowest = eigenvalue[:, 0]
-    floor = 1e-12 * eigenvalue[:, 2] + 1e-300
-    mu = np.maximum(-lowest + np.abs(along[:, 0]), -lowest + floor)  # |s| >= 1 here, so Newton climbs from one side
+    least = -lowest + 1e-12 * eigenvalue[:, 2]
+    mu = np.maximum(-lowest + np.abs(along[:, 0]), least)  # |s| >= 1 here, so Newton climbs from one side
     for _ in range(12):
         parts = along / (eigenvalue + mu[:, None])
-        norm = np.sqrt((parts**2).sum(axis=1)) + 1e-300
-        slope = (parts**2 / (eigenvalue + mu[:, None])).sum(axis=1) / norm**3
-        mu = np.clip(mu + (1.0 - 1.0 / norm) / (slope + 1e-300), -lowest + floor, -lowest + size + floor)
+        square = (parts**2).sum(axis=1)
+        slope = (parts**2 / (eigenvalue + mu[:, None])).sum(axis=1)
+        mu = np.maximum(mu + (np.sqrt(square) - 1.0) * square / np.maximum(slope, np.finfo(float).tiny), least)
     parts = along / (eigenvalue + mu[:, None])
+    # Where nothing tells of the direction of the lowest eigenvalue, what is left of the length lies along it.
+    rest = np.sqrt(np.maximum(1.0 - (parts[:, 1:] ** 2).sum(axis=1), 0.0))
+    parts[:, 0] = np.copysign(rest, parts[:, 0])
     direction = np.einsum("mck,mk->mc", vector, parts)
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True) + 1e-300
     error = value - np.einsum("mnc,mc->mn", field, direction)
     return direction, np.asarray((error**2) @ weight)
 
@@ -181,7 +181,6 @@ def best_apart(position_m: FloatArray, loss: FloatArray, count: int, apart_m: Fl
         best = int(np.argmin(left))
         kept.append(best)
         left[np.linalg.norm(position_m - position_m[best], axis=1) <= apart_m[best]] = np.inf
-        left[best] = np.inf
     return np.array(kept, dtype=np.intp)
 
 

@@ -7,14 +7,6 @@ import pytest
 from scipy.optimize import least_squares
 
 from goldfield.field import FieldModel
-from goldfield.locate.field_shell_search import (
-    Shell,
-    best_apart,
-    directions,
-    profiled_attitude,
-    profiled_loss,
-    unit_vector_fit,
-)
 from goldfield.locate.starts import log_magnitudes, simple_magnitudes, simple_ranges
 from tests.bench import locate_trials as bench
 
@@ -156,46 +148,3 @@ def test_missing_beacons_do_not_matter_to_the_magnitudes(cube):
     other = spoiled.copy()
     other[:, 3] = 1e-3
     np.testing.assert_allclose(simple_magnitudes(model, other, sigma, known), without, atol=1e-9)
-
-
-def test_directions_are_evenly_spread():
-    unit = directions(300)
-    np.testing.assert_allclose(np.linalg.norm(unit, axis=1), 1.0, rtol=1e-12)
-    gap = np.arccos(np.clip(unit @ unit.T - 2 * np.eye(300), -1, 1)).min(axis=1)
-    assert gap.min() > 0.5 * np.sqrt(4 * np.pi / 300)
-    assert gap.max() < 1.5 * np.sqrt(4 * np.pi / 300)
-
-
-def test_shell_holds_a_candidate_near_the_truth(cube):
-    _, model, run = cube
-    shell = Shell(model)
-    worst = 0.0
-    for e in range(60):
-        position, modelled = shell.candidates(run.field_T[e])
-        loss = profiled_loss(modelled, run.field_T[e], run.sigma_T[e])
-        best = best_apart(position, loss, 8, np.full(len(position), 0.1))
-        distance = np.linalg.norm(position[best] - run.position_m[e], axis=1)
-        nearest = np.linalg.norm(run.position_m[e] - model.centre_m, axis=1).min()
-        worst = max(worst, distance.min() / nearest)
-        attitude = profiled_attitude(modelled[best[distance.argmin()]][None], run.field_T[e], run.sigma_T[e])[0]
-        assert np.abs(attitude - run.rotation[e]).max() < 0.8
-    assert worst < 0.5
-
-
-def test_unit_vector_fit_is_the_constrained_minimum():
-    rng = np.random.default_rng(5)
-    field, weight = rng.normal(size=(50, 6, 3)), rng.uniform(0.1, 1.0, 6)
-    value = rng.normal(size=6)
-    direction, misfit = unit_vector_fit(field, value, weight)
-    np.testing.assert_allclose(np.linalg.norm(direction, axis=1), 1.0, rtol=1e-9)
-    sphere = directions(4000)
-    everywhere = np.stack([(weight[:, None] * (value[:, None] - b @ sphere.T) ** 2).sum(axis=0) for b in field])
-    assert (misfit <= everywhere.min(axis=1) + 1e-9).all()
-    assert (misfit >= everywhere.min(axis=1) - 0.05).all()
-
-
-def test_best_apart_keeps_its_distance():
-    position = np.array([[0.0, 0, 0], [0.05, 0, 0], [1.0, 0, 0], [2.0, 0, 0]])
-    kept = best_apart(position, np.array([1.0, 1.1, 3.0, 2.0]), 3, np.full(4, 0.1))
-    assert kept.tolist() == [0, 3, 2]
-    assert best_apart(position, np.full(4, np.inf), 3, np.full(4, 0.1)).tolist() == []
