@@ -71,7 +71,7 @@ def probability(cost: FloatArray, freedom: NDArray[np.intp]) -> FloatArray:
             return gammaincc(degrees / 2.0, one / 2.0 if known else math.inf).reshape(1)
         return np.array([float(known)])
     finite = np.where(np.isfinite(cost), cost, np.inf)
-    return np.where(freedom > 0, gammaincc(np.maximum(freedom, 1) / 2.0, finite / 2.0), np.isfinite(cost) * 1.0)
+    return np.where(freedom > 0, gammaincc(np.maximum(freedom, 1) / 2.0, finite / 2.0), np.isfinite(cost))
 
 
 def chdtri(freedom: ArrayLike, probability: ArrayLike) -> FloatArray:

@@ -321,8 +321,6 @@ class Constellation:
         """Search the shell of one epoch and fit its best candidates; the best comes first."""
         field, sigma = measurements.field_T[0], measurements.sigma_T[0]
         position, modelled = self._shell.candidates(field)
-        if not len(position):
-            return nowhere(1)
         loss = np.where(self.inside(position), profiled_loss(modelled, field, sigma), np.inf)
         apart = 2.0 / candidates * np.linalg.norm(position[:, None] - self.model.centre_m, axis=2).min(axis=1)
         best = best_apart(position, loss, candidates, apart)

@@ -26,7 +26,7 @@ def audible(measurements: Measurements) -> NDArray[np.bool_]:
     everyone = np.arange(len(energy))
     count = measurements.count - measurements.measured.sum(axis=2)[everyone, strongest]
     energy[everyone, strongest] = 0.0
-    return np.asarray(energy.sum(axis=1) > _of_silence(3 * energy.shape[1])[count])
+    return np.asarray(energy.sum(axis=1) > _of_silence(3 * energy.shape[1] - 3)[count])
 
 
 @cache

@@ -5,7 +5,7 @@ import pytest
 from scipy import special, stats
 
 from goldfield.locate import chances
-from goldfield.locate.chances import MANY, chdtri, gammaincc, ndtri
+from goldfield.locate.chances import MANY, chdtri, gammaincc, ndtri, probability
 
 FREEDOM = np.array([1, 2, 3, 4, 5, 6, 7, 12, 15, 24, 50, 99, 192, 400, 897])[:, None]
 
@@ -72,3 +72,26 @@ def test_degrees_of_freedom_that_are_none_are_refused(freedom):
         gammaincc(freedom / 2.0, 1.0)
     with pytest.raises(ValueError, match="degrees of freedom"):
         gammaincc(np.full(MANY, freedom / 2.0), 1.0)
+
+
+@pytest.mark.parametrize("many", [False, True])
+def test_the_probability_of_a_cost_is_that_of_chi_square_where_there_is_redundancy(many):
+    """One by one and together; what was not found is as unlikely as can be, or 0 where nothing else tells."""
+    cost = np.array([0.0, 3.0, 25.0, 7.5, 2.0, np.inf, np.nan, np.inf, np.nan, 4.0, np.inf])
+    freedom = np.array([4, 1, 18, 2, 0, 3, 3, 0, -1, -2, 1])
+    expected = [
+        1.0,
+        stats.chi2.sf(3.0, 1),
+        stats.chi2.sf(25.0, 18),
+        stats.chi2.sf(7.5, 2),
+        1.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        1.0,
+        0.0,
+    ]
+    rows = [np.arange(11)] if many else [np.array([k]) for k in range(11)]
+    found = np.concatenate([probability(cost[row], freedom[row]) for row in rows])
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
