@@ -150,7 +150,7 @@ static void fit(current_t *current, current_line_t *line, float sign) {
     const float most = OFFSET_SHARE * config->amplitude_A / config->sense_A;
     const float offset = within(line->offset, -most, most);
     line->gain_q = (uint32_t)(gain * ONE);
-    line->offset_q = (int32_t)(offset + zero);
+    line->offset_q = (int32_t)offset;
     const float limit = (float)(REFERENCE_MAX * FINE);
     line->shift = (int32_t)(offset / gain * (float)FINE);
     line->scale = (uint32_t)within(current->target_A / (gain * config->sense_A) * (float)FINE + 0.5f, 0.0f, limit);
@@ -193,15 +193,19 @@ static void end_block(current_t *current) {
 
 /* A chip without current tells the zero of the sense; the first after a driven one may still see the current fall. */
 static void take_zero(current_t *current, int32_t came) {
-    if (current->quiet < UINT16_MAX) {
-        current->quiet++;
-    }
-    if (current->quiet > 1u) {
+    if (current->quiet) {
         if (current->zeros < CURRENT_ZERO_MEMORY) {
             current->zeros++;
         }
         current->zero += ((float)came - current->zero) / (float)current->zeros;
     }
+    current->quiet = true;
+}
+
+/* Returns the current in a direction, counts of sense from its zero. */
+static int32_t along_of(const current_t *current, bool negative, int32_t came) {
+    const int32_t above = came - (int32_t)current->zero;
+    return negative ? -above : above;
 }
 
 /* Returns what a chip that asks for so much is expected to bring in its direction, counts of sense. */
@@ -219,7 +223,7 @@ static bool stands_still(const current_t *current, uint32_t asked, bool negative
     if (asked <= current->open_above) {
         return false;
     }
-    const int32_t start = negative ? -began : began, along = negative ? -came : came;
+    const int32_t start = along_of(current, negative, began), along = along_of(current, negative, came);
     const int32_t least = least_of(current, expect(&current->line[negative], asked));
     const int32_t way = least > start ? least - start : 0;
     return along < least - way + way * WAY_DONE / WAY_PARTS;
@@ -228,19 +232,19 @@ static bool stands_still(const current_t *current, uint32_t asked, bool negative
 /* Returns whether the coil is open, and keeps the chip for the line. */
 static bool take_driven(current_t *current, uint32_t asked, bool negative, int32_t came) {
     current_line_t *const line = &current->line[negative];
-    const int32_t along = negative ? -came : came;
+    const int32_t along = along_of(current, negative, came), sensed = negative ? -came : came;
     const int32_t expected = expect(line, asked);
     if (asked > current->open_above && along < least_of(current, expected)) {
         return true;
     }
     const bool holding = current->state == CURRENT_HOLDING;
     const int32_t allowed = (expected >> SHORT_SHIFT) + SHORT_COUNTS, missing = expected - along;
-    current->strayed |= holding && (missing > allowed || missing < -allowed);
+    current->strayed |= missing > allowed || missing < -allowed;
     if (!holding || (asked > 0u && missing <= allowed + (expected >> LEFT_OUT_SHIFT))) {
         line->block_count++;
         line->block_asked += (int32_t)asked;
-        line->block_came += along;
-        line->block_product += (int32_t)asked * along;
+        line->block_came += sensed;
+        line->block_product += (int32_t)asked * sensed;
         line->block_square += (int32_t)(asked * asked);
     }
     current->chips++;
@@ -278,7 +282,7 @@ cause_t current_edge(current_t *current, int16_t set_point, uint16_t count) {
 
 cause_t current_middle(current_t *current, int16_t set_point, uint16_t start, uint16_t count) {
     const cause_t cause = current_edge(current, set_point, count);
-    if (cause != CAUSE_NONE || current->state == CURRENT_FAULT || current->state == CURRENT_OFF) {
+    if (cause != CAUSE_NONE || current->state == CURRENT_OFF) {
         return cause;
     }
     const int32_t began = (int32_t)start - CURRENT_MID_SCALE, came = (int32_t)count - CURRENT_MID_SCALE;
@@ -300,7 +304,7 @@ cause_t current_sample(current_t *current, bool driven, int16_t set_point, uint1
         take_zero(current, came);
         return CAUSE_NONE;
     }
-    current->quiet = 0;
+    current->quiet = false;
     const bool open = current->state != CURRENT_OFF && take_driven(current, asked, set_point < 0, came);
     return open ? fail(current, CAUSE_OPEN_COIL) : CAUSE_NONE;
 }

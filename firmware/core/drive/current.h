@@ -93,7 +93,7 @@ typedef struct {
         block_square;        /* Those of the block, at most 31 * 4095^2. */
     float gain, offset;      /* The line, counts of sense. */
     uint32_t gain_q;         /* The gain within its limits, 16 fractional bits. */
-    int32_t offset_q;        /* The offset and the zero of the sense, counts. */
+    int32_t offset_q;        /* The offset within its limits, counts. */
     volatile uint32_t scale; /* Set-point of level 1 without the offset, 1/16 counts. */
     volatile int32_t shift;  /* The offset's set-point, 1/16 counts. */
     int32_t carry;           /* What rounding has left over, 1/16 counts; the planner's. */
@@ -114,11 +114,12 @@ typedef struct {
     current_config_t config;
     current_line_t line[2]; /* Positive, negative. */
     uint16_t chips;         /* Driven chips of the present block. */
-    uint16_t zeros, quiet;  /* Chips of which the zero is the mean; successive chips not driven. */
+    uint16_t zeros;         /* Chips of which the zero is the mean. */
     uint16_t open_above;    /* Largest set-point with which the coil may be open, counts. */
     uint32_t open_share;    /* The open_fraction, 16 fractional bits. */
     uint8_t short_blocks;   /* Blocks for which headroom_lost is still told. */
     uint8_t cause;          /* A cause_t: why, in CURRENT_FAULT. */
+    bool quiet;             /* The chip before was not driven. */
     volatile bool strayed;  /* In this block a chip was off what is expected; the planner sets it, too. */
 } current_t;
 

@@ -546,7 +546,7 @@ def test_a_reference_too_fine_for_the_least_of_an_open_coil_has_none(core, count
         assert lib.current_sample(loop, True, asked, 2048 - 5) == (OPEN if is_open else 0), asked
 
 
-@pytest.mark.parametrize("beyond", [26, 27])
+@pytest.mark.parametrize("beyond", [26, 27, -26, -27])
 def test_a_current_beyond_what_the_line_expects_is_told_as_one_that_is_short(core, beyond):
     """1/64 of 10 A and 6 counts: then the line is wrong, as behind a sum that was lost, and so is what it tells."""
     _, lib = core
@@ -558,6 +558,6 @@ def test_a_current_beyond_what_the_line_expects_is_told_as_one_that_is_short(cor
     expected = int(2560 * loop.line[0].gain_q / 65536) + loop.line[0].offset_q
     assert lib.current_sample(loop, True, 2560, 2048 + expected + beyond) == 0
     drive.run(31 - loop.chips)
-    assert loop.headroom_lost == (beyond > (expected >> 6) + 6)
+    assert loop.headroom_lost == (abs(beyond) > (expected >> 6) + 6)
     drive.run(31 * 33)
     assert not loop.headroom_lost
