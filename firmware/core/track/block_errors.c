@@ -7,9 +7,9 @@
 #define BEACON_ERRORS 7u /* Errors of a beacon: three of its position, three of its axis, its current. */
 #define SENSOR_ERRORS 6u /* Errors of the sensor: three gains, three pairs of axes that lean towards each other. */
 #define HALF_ROOT     0.70710678f
+#define AMBIENT       3u /* Observed numbers before those of the pose: the ambient field. */
 
 typedef float effects_t[3][BEACON_ERRORS];
-typedef float square_t[BLOCK_OBSERVED][BLOCK_OBSERVED];
 
 /* Computes what a beacon's errors, each of one standard deviation, do to its field. */
 static void beacon_effects(const block_measure_t *measure, const loop_t *coil, uint32_t i,
@@ -44,57 +44,28 @@ static void add_effect(const block_measure_t *measure, uint32_t i, const float e
     }
 }
 
-/* Adds the square of y = U^-1 d, from the gradient d of an error; L = U U', and A has U' in it. pivots are the inverse
- * of U's diagonal, 0 where it is 0. */
-static void add_square(const block_measure_t *measure, const float pivots[BLOCK_OBSERVED],
-                       const float d[BLOCK_OBSERVED], square_t square) {
+/* Adds to a covariance the square of the bias L^-1 d that the pose has by an error with gradient d; L = U U', and A has
+ * U' in it. pivots are the inverse of U's diagonal, 0 where it is 0. */
+static void add_bias(const block_measure_t *measure, const float pivots[BLOCK_OBSERVED], const float d[BLOCK_OBSERVED],
+                     float covariance[6][6]) {
     const float weight = 1.0f / (measure->noise_uT * measure->noise_uT);
-    float y[BLOCK_OBSERVED];
-    for (uint32_t i = 0; i < BLOCK_OBSERVED; i++) {
-        y[i] = weight * d[i];
+    float x[BLOCK_OBSERVED];
+    for (uint32_t i = 0; i < BLOCK_OBSERVED; i++) { /* U x = d. */
+        x[i] = weight * d[i];
         for (uint32_t k = 0; k < i; k++) {
-            y[i] -= measure->rows[k][block_measure_diagonal(i)] * y[k];
+            x[i] -= measure->rows[k][block_measure_diagonal(i)] * x[k];
         }
-        y[i] *= pivots[i];
-        for (uint32_t k = 0; k <= i; k++) {
-            square[i][k] += y[i] * y[k];
-        }
+        x[i] *= pivots[i];
     }
-}
-
-/* Solves U' x = x in place. */
-static void solve(const block_measure_t *measure, const float pivots[BLOCK_OBSERVED], float x[BLOCK_OBSERVED]) {
-    for (uint32_t i = BLOCK_OBSERVED; i-- > 0u;) {
+    for (uint32_t i = BLOCK_OBSERVED; i-- > AMBIENT;) { /* U' x = x, as far as the pose. */
         for (uint32_t k = i + 1u; k < BLOCK_OBSERVED; k++) {
             x[i] -= measure->rows[i][block_measure_diagonal(k)] * x[k];
         }
         x[i] *= pivots[i];
     }
-}
-
-/* Adds the pose's part of U'^-1 S U^-1 to a covariance; square is S, its lower triangle. */
-static void add_bias(const block_measure_t *measure, const float pivots[BLOCK_OBSERVED], square_t square,
-                     float covariance[6][6]) {
-    for (uint32_t row = 0; row < BLOCK_OBSERVED; row++) {
-        for (uint32_t column = 0; column < row; column++) {
-            square[column][row] = square[row][column];
-        }
-    }
-    for (uint32_t side = 0; side < 2u; side++) {
-        for (uint32_t row = 0; row < BLOCK_OBSERVED; row++) {
-            solve(measure, pivots, square[row]);
-        }
-        for (uint32_t row = 0; row < BLOCK_OBSERVED; row++) { /* What were columns is next. */
-            for (uint32_t column = 0; column < row; column++) {
-                const float above = square[column][row];
-                square[column][row] = square[row][column];
-                square[row][column] = above;
-            }
-        }
-    }
     for (uint32_t row = 0; row < 6u; row++) {
         for (uint32_t column = 0; column < 6u; column++) {
-            covariance[row][column] += 0.5f * (square[3u + row][3u + column] + square[3u + column][3u + row]);
+            covariance[row][column] += x[AMBIENT + row] * x[AMBIENT + column];
         }
     }
 }
@@ -117,7 +88,6 @@ static void sensor_effect(const block_measure_t *measure, const block_site_error
 
 void block_errors(const block_measure_t *measure, const loop_t *coils, uint32_t count,
                   const block_site_errors_t *errors, float covariance[6][6]) {
-    square_t square = {{0.0f}};
     float pivots[BLOCK_OBSERVED];
     for (uint32_t row = 0; row < BLOCK_OBSERVED; row++) {
         const float pivot = measure->rows[row][block_measure_diagonal(row)];
@@ -137,17 +107,17 @@ void block_errors(const block_measure_t *measure, const loop_t *coils, uint32_t 
             const float e[3] = {effects[0][k], effects[1][k], effects[2][k]};
             float d[BLOCK_OBSERVED] = {0.0f};
             add_effect(measure, i, e, d);
-            add_square(measure, pivots, d, square);
+            add_bias(measure, pivots, d, covariance);
         }
     }
     for (uint32_t k = 0; k < SENSOR_ERRORS; k++) {
         float d[BLOCK_OBSERVED] = {0.0f};
-        for (uint32_t i = 0; i <= count; i++) {
+        for (uint32_t i = 0; i < count;
+             i++) { /* What it does to the ambient field that field takes, and nobody else. */
             float e[3];
             sensor_effect(measure, errors, measure->model[i].field_uT, k, e);
             add_effect(measure, i, e, d);
         }
-        add_square(measure, pivots, d, square);
+        add_bias(measure, pivots, d, covariance);
     }
-    add_bias(measure, pivots, square, covariance);
 }
