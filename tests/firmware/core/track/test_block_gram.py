@@ -31,6 +31,17 @@ def test_bits_behind_the_last_chip_do_not_count(core, gold_family):
     assert np.array_equal(matrices(kernel)[0], gram)
 
 
+def test_nothing_is_left_of_what_stood_in_the_block_before(core, gold_family):
+    """The diagonals too, which block_separate turns into variances."""
+    kernel, gram, moment, data = filled(core, gold_family, 3)
+    for row in range(4):
+        kernel.block.gram[row][0:4] = kernel.block.moment[row][0:4] = [np.nan] * 4
+    kernel.fill(Bits(gold_family(10), 3).words(1000), data)
+    ours, ours_moment = matrices(kernel)
+    assert np.array_equal(ours, gram)
+    np.testing.assert_allclose(ours_moment, moment, atol=1e-6 * CHIP_S * 240)
+
+
 @pytest.mark.parametrize("out", [[0], [7], [2, 5, 3]])
 def test_a_field_that_is_unknown_is_eliminated(core, gold_family, out):
     kernel, gram, moment, data = filled(core, gold_family, 8)

@@ -35,10 +35,12 @@ class Chooser:
         return set(rows), bit_rows(self.select.strong)
 
 
-def test_few_beacons_all_have_columns(core):
-    chooser = Chooser(core, cube(SELECTED))
-    for out in (0, 5, 0xFFFF):
-        assert chooser.choose([1.0, 1.1, 0.9], out)[0] == set(range(SELECTED))
+@pytest.mark.parametrize("count", [SELECTED, 31])
+def test_few_beacons_all_have_columns(core, count):
+    """Beside fifteen that are never believed, too; and one that is believed again has its column at once."""
+    chooser, never = Chooser(core, cube(count)), (1 << count) - (1 << SELECTED)
+    for out in (0, 1, 0, 5, 0xFFFF):
+        assert chooser.choose([1.0, 1.1, 0.9], never | out)[0] == set(range(count))
     assert len(Chooser(core, cube(SELECTED + 1)).choose([1.0, 1.1, 0.9])[0]) == SELECTED
 
 
@@ -71,6 +73,22 @@ def test_those_not_believed_have_columns_beside_the_others(core):
     assert chooser.choose(position, 0xFFFF)[0] == set(range(32))  # 16 are believed, as many as may be.
 
 
+@pytest.mark.parametrize("hold", [False, True])
+def test_others_are_taken_for_guests_of_which_one_is_not_believed_any_more(core, hold):
+    chooser, position = Chooser(core, cube(32)), [0.7, 1.2, 0.9]
+    rows, strong = chooser.choose(position)
+    gone = min(rows - strong)
+    after, strong = chooser.choose(position, 1 << gone, hold)
+    assert gone in after
+    assert len(after - strong - {gone}) == GUESTS
+
+
+def test_a_position_that_is_no_number_chooses_as_many(core):
+    rows, strong = Chooser(core, cube(20)).choose([np.nan] * 3)
+    assert len(strong) == STRONG
+    assert len(rows) == SELECTED
+
+
 @pytest.mark.parametrize(("stronger", "changes"), [(1.19, False), (1.21, True)])
 def test_one_of_the_strongest_stays_until_another_is_stronger_by_a_fifth(core, stronger, changes):
     coils, position = cube(32), np.array([0.7, 1.2, 0.9])
@@ -85,7 +103,10 @@ def test_one_of_the_strongest_stays_until_another_is_stronger_by_a_fifth(core, s
 
 
 def test_the_signals_of_the_rest_are_taken_from_the_sums(core, gold_family):
-    """Sums of all beacons at rest become those that the selected ones alone would have."""
+    """Sums of all beacons at rest become those that the selected ones alone would have.
+
+    The selection before had two columns more, which are of the rest now.
+    """
     flight, rng = Flight(core, gold_family, count=32), np.random.default_rng(4)
     words = flight.bits.words(310)
     state = replace(some_state(rng), v=np.zeros(3), w=np.zeros(3))
@@ -93,7 +114,8 @@ def test_the_signals_of_the_rest_are_taken_from_the_sums(core, gold_family):
     gram, _ = matrices(flight.kernel)
     fields = still_part(flight.coils, state)
     chooser = Chooser(core, flight.coils)
-    chooser.choose(state.p)
+    assert {30, 31} < chooser.choose(state.p, 3 << 30)[0]
+    assert not {30, 31} & chooser.choose(state.p)[0]
     rows = [*list(chooser.select.rows)[: chooser.select.count], 32]
     block = Kernel(core, flight.coils, 0.02)
     block.fill([words[i] for i in rows[:-1]], (gram @ fields)[rows])
