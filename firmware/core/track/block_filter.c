@@ -29,7 +29,7 @@ static const float agilities[][2] = {{0.01f, 0.02f}, {0.05f, 0.08f}, {0.25f, 0.3
 
 #define MOST      ((uint32_t)(sizeof agilities / sizeof agilities[0]) - 1u)
 #define FOLLOWERS (BLOCK_FILTERS - 1u)
-#define BEGIN     2u   /* The least agility with which a track begins: nobody knows yet how the sensor moves. */
+#define BEGIN     (MOST - FOLLOWERS) /* A track begins with the greatest: nobody knows yet how the sensor moves. */
 #define LIKELY    0.4f /* Probability of much agility from which on it is asked whether more is wanted, ... */
 #define CERTAIN   0.5f /* ... and of the least agile filter from which on it is asked whether less is enough. */
 
@@ -81,7 +81,7 @@ void block_filter_begin(block_filter_t *filter, const block_state_t *state,
         one->state = *state;
         memcpy(one->covariance, covariance, sizeof one->covariance);
         one->probability = 1.0f / (float)BLOCK_FILTERS;
-        expect(filter, k == FOLLOWERS ? MOST : BEGIN + k);
+        expect(filter, BEGIN + k);
     }
     filter->least = BEGIN;
     filter->kept = false;
@@ -209,11 +209,12 @@ static bool stands(const block_filter_t *filter) {
            square(turned) <= MOVES * MOVES * field2;
 }
 
-/* Decides whether the slopes of the block before are kept; those that are taken anew may be kept from then on. */
-static void settle(block_filter_t *filter) {
+/* Decides whether the slopes of the block before are kept; those that are taken anew may be kept from then on if this
+ * one keeps any. */
+static void settle(block_filter_t *filter, bool keeps) {
     const block_kalman_t *const best = &filter->filters[filter->best];
-    filter->measure.held = filter->kept && stands(filter);
-    filter->kept = filter->keeps;
+    filter->measure.held = keeps && filter->kept && stands(filter);
+    filter->kept = keeps;
     if (!filter->measure.held) {
         filter->kept_m2 = variance(best, BLOCK_P);
         filter->kept_rad2 = variance(best, BLOCK_THETA);
@@ -248,9 +249,7 @@ static inline bool update(block_filter_t *filter, const block_t *block, float se
         return false;
     }
     filter->measure.reference = filter->filters[filter->best].state;
-    if (sweep == NULL) {
-        settle(filter);
-    }
+    settle(filter, filter->keeps && sweep == NULL);
     block_measure(block, filter->coils, &filter->measure);
     filter->measure.known = true;
     if (sweep != NULL) {
