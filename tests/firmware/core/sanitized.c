@@ -1,6 +1,6 @@
-/* Every module of the core under the address and undefined-behaviour sanitizers, with extremes and seeded noise; and
- * the queue between two threads. Exit 0: nothing found. Results are judged by the other tests; here only what the
- * sanitizers see, and order and loss in the queue. */
+/* Modules of the core under the address and undefined-behaviour sanitizers, with extremes and seeded noise; and the
+ * queue between two threads. Those of a track are in sanitized_track.c. Exit 0: nothing found. Results are judged by
+ * the other tests; here only what the sanitizers see, and order and loss in the queue. */
 #include <pthread.h>
 #include <stdio.h>
 #include <stdlib.h>
