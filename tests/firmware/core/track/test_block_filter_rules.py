@@ -180,6 +180,7 @@ def test_a_shift_tells_of_the_motion_what_the_poses_time_does(core, seconds, mov
     start, covariances = a_start(bank.kernel, np.random.default_rng(8))
     bank.filter.unmixed_s = 0.005
     now = bank.kernel.state(bank.filter.filters[slot(3)].state)
+    measured = bytes(bank.ffi.buffer(bank.ffi.addressof(bank.filter.measure)))
     bank.lib.block_filter_shift(bank.filter, start.position_m, start.quaternion, start, seconds)
     expected = np.diag([0.0] * 6 + [9.0] * 3 + [16.0] * 3 + [25.0 + 9.0] * 3 + [25.0] * 3)
     expected[:3, :3], expected[3:6, 3:6] = (4.0 * covariance for covariance in covariances)
@@ -191,6 +192,7 @@ def test_a_shift_tells_of_the_motion_what_the_poses_time_does(core, seconds, mov
         assert np.abs(bank.kernel.state(model.state).minus(now)).max() < 1e-5  # The same pose: nowhere.
         np.testing.assert_allclose(bank.kernel.matrix(model.covariance), expected, rtol=1e-5)
     assert bank.filter.unmixed_s == np.float32(0.005)
+    assert bytes(bank.ffi.buffer(bank.ffi.addressof(bank.filter.measure))) == measured
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
