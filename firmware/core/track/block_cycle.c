@@ -32,9 +32,8 @@ bool block_cycle_add(block_cycle_t *cycle, uint32_t number, uint32_t chip, float
                      const block_residual_t *residual, const block_state_t *predicted) {
     if (block_cycle_begins(chip)) {
         forget(cycle);
-    } else if (cycle->blocks == 0u || number != cycle->next) {
-        cycle->blocks = 0;
-        return false;
+    } else if (number != cycle->next) {
+        return false; /* So are those that follow, until a cycle begins. */
     }
     cycle->next = number + 1u;
     for (uint32_t i = 0; i <= cycle->count; i++) {

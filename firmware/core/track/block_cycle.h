@@ -33,7 +33,7 @@ typedef struct {
     const loop_t *coils;                 /* Those of the site ... */
     uint8_t rows[BLOCK_BEACONS];         /* ... of which these are the columns, ... */
     uint32_t count;                      /* ... so many. */
-    uint32_t blocks;                     /* Blocks that are summed, 0 before the one with code chip 0. */
+    uint32_t blocks;                     /* Blocks that are summed, fewer than all without the one with chip 0. */
     uint32_t next;                       /* The number of the block that continues them. */
     float residual_uT[BLOCK_COLUMNS][3]; /* Sums of their residuals, site's frame, uT. */
     float position_m[3], quaternion[4];  /* The pose in the middle of the cycle. */

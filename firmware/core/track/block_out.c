@@ -39,10 +39,10 @@ static void eliminate(block_t *block, uint32_t k) {
         block->sums_uT[k][axis] *= over;
     }
     for (uint32_t row = 0; row < block->columns; row++) {
-        const float factor = block->gram[row][k];
-        if (row == k || factor == 0.0f) {
+        if (row == k) {
             continue;
         }
+        const float factor = block->gram[row][k];
         block->gram[row][k] = 0.0f;
         for (uint32_t j = 0; j < block->columns; j++) {
             block->gram[row][j] -= factor * block->gram[k][j];
@@ -52,7 +52,7 @@ static void eliminate(block_t *block, uint32_t k) {
 }
 
 bool block_separate(block_t *block) {
-    float whole[BLOCK_COLUMNS] = {0.0f};
+    float whole[BLOCK_COLUMNS];
     for (uint32_t k = 0; k < block->columns; k++) {
         whole[k] = block->gram[k][k];
     }

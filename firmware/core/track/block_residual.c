@@ -66,7 +66,7 @@ uint32_t block_residual_worst(const block_residual_t *residual, const block_t *b
             expected += block->gram[i][j] * block->gram[i][j] * variance[j];
         }
         const float square = vector3_dot(residual->left_uT[i], residual->left_uT[i]);
-        if (!(square < most * expected)) { /* So is what is not a number. */
+        if (!(square <= most * expected)) { /* So is what is not a number. */
             most = square / expected;
             worst = i;
         }

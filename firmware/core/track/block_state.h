@@ -22,8 +22,8 @@ typedef struct {
  * rotation vector in the site's frame. */
 void block_state_move(const block_state_t *from, const float errors[BLOCK_STATES], block_state_t *state);
 
-/* Compute the errors by which a state differs from another. Angles beyond 1 rad are told with less than 2 % of error.
- */
+/* Compute the errors by which a state differs from another. An angle of 1 rad is told 2e-5 of itself too short, one of
+ * 2 rad 0.8 %, half a turn 16 %. */
 void block_state_subtract(const block_state_t *state, const block_state_t *other, float errors[BLOCK_STATES]);
 
 /* Let so many seconds pass at constant velocity and turn rate; turn becomes the rotation by which it turned. */

@@ -51,6 +51,7 @@ HEADERS = (
     "core/track/block_select.h",
     "core/track/block_out.h",
     "core/track/block_errors.h",
+    "core/track/block_cycle.h",
 )
 
 
