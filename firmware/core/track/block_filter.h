@@ -27,15 +27,15 @@
  * tests/firmware/core/track/test_block_instructions.py): instructions of block_gram, block_filter_update and
  * block_filter_output together, most of them in the four filters.
  *   beacons                              8       16       32
- *   a block                         65,000   82,000  137,000
- *   each fourth, with mixing        76,000   93,000  148,000
- *   mean                            67,500   84,400  139,500
+ *   a block                         65,000   82,000  138,000
+ *   each fourth, with mixing        76,000   93,000  149,000
+ *   mean                            67,800   84,800  140,200
  *   of the time of 31 chips (509,000 cycles at 168 MHz), at so many cycles an instruction
- *     1                               13 %     17 %     27 %
- *     1.5                           19.9 %     25 %     41 %
- *     2.5                             33 %     41 %     69 %
+ *     1                               13 %     17 %     28 %
+ *     1.5                           20.0 %     25 %     41 %
+ *     2.5                             33 %     42 %     69 %
  * With slopes that are kept a block takes as many with 8 beacons, and 1,300 more with 16.
- * Of 67,500, 41,000 are the updates of the four filters, 4,500 their predictions, 11,000 what the block tells, 4,500
+ * Of 67,800, 41,000 are the updates of the four filters, 4,500 their predictions, 11,000 what the block tells, 4,500
  * the output, 2,500 the mixing, 2,200 the gram matrix.
  *
  * Contexts: one. Memory: block_filter_t 9.6 kB, block_t 9.1 kB; stack 2 kB.

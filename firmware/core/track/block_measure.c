@@ -37,7 +37,7 @@ static void model(const loop_t *coils, uint32_t ambient, block_measure_t *measur
 /* Sums fields and gradients over the columns for a row of the block. */
 static void sum_row(const block_t *block, uint32_t i, block_measure_t *measure) {
     const float *gram = block->gram[i], *moment = block->moment[i];
-    block_field_t sum = {{0.0f}, {0.0f}}, moments = {{0.0f}, {0.0f}};
+    block_field_t sum = {.gradient = {0.0f}}, moments = {.gradient = {0.0f}};
     const uint32_t ambient = block->columns - 1u; /* Its gradient is zero. */
     for (uint32_t axis = 0; axis < 3u; axis++) {
         sum.field_uT[axis] = gram[ambient] * measure->model[ambient].field_uT[axis];
@@ -96,8 +96,7 @@ static inline void take_more(uint32_t count, const float *gram, const float more
 
 /* Computes the gradient of the likelihood, times sigma^2, which is the right side of the rows. */
 static void descend(const block_t *block, const loop_t *coils, block_measure_t *measure) {
-    float offset[3], residual[3] = {0.0f}, crossed[3], by_p[3] = {0.0f}, by_theta[3] = {0.0f},
-                     more_uT[BLOCK_COLUMNS][3];
+    float offset[3], residual[3], crossed[3], by_p[3] = {0.0f}, by_theta[3] = {0.0f}, more_uT[BLOCK_COLUMNS][3];
     multiply((const float(*)[3])measure->rotation, measure->reference.offset_uT, offset);
     if (measure->held) {
         differ(coils, block->columns - 1u, measure, more_uT);
@@ -122,22 +121,21 @@ static void descend(const block_t *block, const loop_t *coils, block_measure_t *
     }
 }
 
-/* Sums the products of gradients with what they were summed to, into a block of rows: it is symmetric. */
-static void square(uint32_t count, const block_field_t *fields, const block_field_t *sums, float *rows) {
+/* Sums the products of gradients with what they were summed to, into a block of rows: all, or its upper triangle, where
+ * it is symmetric. With the moments it is not where a beacon was left out. */
+static inline void square(uint32_t count, const block_field_t *fields, const block_field_t *sums, bool upper,
+                          float *rows) {
     float total[3][3] = {{0.0f}};
     for (uint32_t i = 0; i < count; i++) {
         float left[3][3], right[3][3];
         block_field_expand(fields[i].gradient, left);
         block_field_expand(sums[i].gradient, right);
         for (uint32_t row = 0; row < 3u; row++) {
-            for (uint32_t column = row; column < 3u; column++) {
+            for (uint32_t column = upper ? row : 0u; column < 3u; column++) {
                 total[row][column] += vector3_dot(left[row], right[column]);
             }
         }
     }
-    total[1][0] = total[0][1];
-    total[2][0] = total[0][2];
-    total[2][1] = total[1][2];
     matrix3_store((const float(*)[3])total, rows, BLOCK_ROW);
 }
 
@@ -209,9 +207,9 @@ static void compose(uint32_t count, block_measure_t *measure) {
     block_field_expand(moments[last].gradient, part);
     matrix3_store((const float(*)[3])part, &rows[0][BLOCK_V], BLOCK_ROW);
     store_cross(moments[last].field_uT, &rows[0][BLOCK_W]);
-    square(count, fields, sums, &rows[3][BLOCK_P]);
+    square(count, fields, sums, true, &rows[3][BLOCK_P]);
     cross(count, fields, sums, &rows[3][BLOCK_THETA]);
-    square(count, fields, moments, &rows[3][BLOCK_V]);
+    square(count, fields, moments, false, &rows[3][BLOCK_V]);
     cross(count, fields, moments, &rows[3][BLOCK_W]);
     turn(count, fields, sums, &rows[6][BLOCK_THETA]);
     cross(count, moments, fields, &rows[6][BLOCK_V]);
@@ -271,9 +269,7 @@ static inline uint32_t eliminate(float rows[BLOCK_OBSERVED][BLOCK_ROW], const fl
         for (uint32_t i = j + 1u; i < BLOCK_OBSERVED; i++) {
             const float factor = noise * noise * own[block_measure_diagonal(i)];
             subtract_row(rows[i], factor, own, i < group ? first : BLOCK_THETA);
-            if (i < group) {
-                rows[i][block_measure_diagonal(j)] = 0.0f;
-            }
+            rows[i][block_measure_diagonal(j)] = 0.0f;
         }
         rank += told ? 1u : 0u;
     }

@@ -129,9 +129,6 @@ static void compose(const block_measure_t *measure, const ramp_t *ramp, float we
         float by[6];
         couple(&ramp->moment, axis, by);
         known_part(measure, ramp, axis, weight, known[axis]);
-        for (uint32_t column = 0; column < BLOCK_ROW; column++) {
-            row[column] = 0.0f;
-        }
         for (uint32_t k = 0; k < 6u; k++) {
             row[BLOCK_V + k] = weight * by[k];
         }
@@ -158,14 +155,14 @@ static uint32_t eliminate(float information[3][3], float least, block_sweep_t *s
         const float pivot = information[j][j];
         const bool told = !(pivot <= least); /* What is not a number stays one. */
         const float scale = told ? 1.0f / square_root(pivot) : 0.0f;
-        for (uint32_t column = 0; column < BLOCK_ROW; column++) {
+        for (uint32_t column = BLOCK_V; column < BLOCK_ROW; column++) {
             sweep->rows[j][column] *= scale;
         }
-        for (uint32_t i = 0; i < 3u; i++) {
-            information[j][i] = i < j ? 0.0f : scale * information[j][i];
+        for (uint32_t i = j; i < 3u; i++) {
+            information[j][i] *= scale;
         }
         for (uint32_t i = j + 1u; i < 3u; i++) {
-            for (uint32_t column = 0; column < BLOCK_ROW; column++) {
+            for (uint32_t column = BLOCK_V; column < BLOCK_ROW; column++) {
                 sweep->rows[i][column] -= information[j][i] * sweep->rows[j][column];
             }
             for (uint32_t k = i; k < 3u; k++) {
@@ -186,7 +183,7 @@ static void fold(const block_state_t *at, const float root[3][3], float even, bl
         float *const row = sweep->rows[i];
         vector3_cross(root[i], swept, &row[BLOCK_THETA]);
         vector3_cross(at->rate_rad_s, root[i], &row[BLOCK_E]);
-        for (uint32_t column = 0; column < BLOCK_ROW; column++) {
+        for (uint32_t column = BLOCK_THETA; column < BLOCK_ROW; column++) {
             row[column] *= even;
         }
     }
@@ -195,7 +192,8 @@ static void fold(const block_state_t *at, const float root[3][3], float even, bl
 uint32_t block_sweep(const block_t *block, const block_measure_t *measure, block_sweep_t *sweep) {
     const float weight = 1.0f / (measure->noise_uT * measure->noise_uT);
     ramp_t ramp;
-    float information[3][3];
+    float information[3][3] = {{0.0f}}; /* It stays zero below the diagonal. */
+    *sweep = (block_sweep_t){.rows = {{0.0f}}};
     weigh(block, measure, &ramp);
     compose(measure, &ramp, weight, sweep, information);
     const float whole = weight * ramp.square;

@@ -10,11 +10,11 @@
  * tell of columns that depend on others, single precision does not see either. From these rows is taken what the
  * observed numbers of block_measure have told already.
  *
- * Limits. Where the observed numbers leave less than 1e-2 of the information on the sweep, as with two beacons and
- * fewer, it is left out. It is known no better than 5 uT/s, by which the ambient field changes within a block itself,
- * near iron.
+ * Limits. Where the observed numbers leave less than 1e-2 of the information on the sweep, as with one beacon and
+ * mostly with two, it is left out. It is known no better than 5 uT/s, by which the ambient field changes within a block
+ * itself, near iron.
  *
- * Time (Cortex-M4, -O3): 23,500 instructions a block with 8 beacons, 44,000 with 16, 103,000 with 32. With 8, the
+ * Time (Cortex-M4, -O3): 22,900 instructions a block with 8 beacons, 43,000 with 16, 102,000 with 32. With 8, the
  * updates of the four filters by these rows are 3,200 each of that. The sensor does without it; the host asks for it.
  */
 #ifndef GOLDFIELD_BLOCK_SWEEP_H
