@@ -112,8 +112,8 @@ void block_errors(const block_measure_t *measure, const loop_t *coils, uint32_t 
     }
     for (uint32_t k = 0; k < SENSOR_ERRORS; k++) {
         float d[BLOCK_OBSERVED] = {0.0f};
-        for (uint32_t i = 0; i < count;
-             i++) { /* What it does to the ambient field that field takes, and nobody else. */
+        /* What it does to the ambient field, that field takes, and nobody else. */
+        for (uint32_t i = 0; i < count; i++) {
             float e[3];
             sensor_effect(measure, errors, measure->model[i].field_uT, k, e);
             add_effect(measure, i, e, d);

@@ -155,7 +155,7 @@ def unit_vector_fit(field: FloatArray, value: FloatArray, weight: FloatArray) ->
     """
     weighted = field * weight[:, None]
     eigenvalue, vector = np.linalg.eigh(weighted.swapaxes(1, 2) @ field)
-    along = np.einsum("mck,mnc,n->mk", vector, weighted, value)
+    along = np.einsum("mck,mc->mk", vector, np.einsum("mnc,n->mc", weighted, value))
     lowest = eigenvalue[:, 0]
     least = -lowest + 1e-12 * eigenvalue[:, 2]
     mu = np.maximum(-lowest + np.abs(along[:, 0]), least)  # |s| >= 1 here, so Newton climbs from one side

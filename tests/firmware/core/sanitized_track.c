@@ -1,6 +1,6 @@
-/* The track of core/track under the address and undefined-behaviour sanitizers, with every number of beacons, at rest and
- * in motion, with noise and with sums that are none. Exit 0: nothing found. Results are judged by the other tests; here
- * only what the sanitizers see. */
+/* The track of core/track under the address and undefined-behaviour sanitizers, with every number of beacons, at rest
+ * and in motion, with noise and with sums that are none. Exit 0: nothing found. Results are judged by the other tests;
+ * here only what the sanitizers see. */
 #include <math.h>
 #include <stdint.h>
 #include <string.h>
@@ -72,7 +72,8 @@ static void fly(uint32_t count) {
     const block_site_errors_t site = {errors, 0.006f, 0.007f};
     sites(coils, errors);
     block_select_t select = {0};
-    block_start_t start = {{0.1f, 0.2f, 0.3f}, {0.0f, 0.0f, 0.0f, 1.0f}, {{0.0f}}, {{0.0f}}, {20.0f, 5.0f, -40.0f}, 0.1f};
+    block_start_t start = {{0.1f, 0.2f, 0.3f}, {0.0f, 0.0f, 0.0f, 1.0f}, {{0.0f}},
+                           {{0.0f}},           {20.0f, 5.0f, -40.0f},    0.1f};
     for (uint32_t axis = 0; axis < 3u; axis++) {
         start.position_cov_m2[axis][axis] = start.attitude_cov_rad2[axis][axis] = 1e-5f;
     }

@@ -549,7 +549,7 @@ def test_starts_lead_near_the_pose_with_and_without_the_library(cube, run, sound
 
 
 def test_the_shell_leads_to_the_pose_on_the_right_side(cube, run):
-    """Of one axis and of two, of which one beacon was not heard; the best fit comes first."""
+    """One axis and two, one beacon not heard; the best fit comes first."""
     for axes in (3, 2):
         field = run.field_T[1:2].copy()
         field[:, :, axes:] = np.nan

@@ -216,7 +216,7 @@ def test_an_image_that_is_the_pose_itself_is_no_rival(apart_m, turn_rad, other):
 
 
 def test_a_rival_outside_is_seen_from_inside_where_its_image_is_there():
-    """Of an exact mirror; where the rival is none, or inside, or its image is outside, it stays."""
+    """The mirror is exact; where the rival is none, or inside, or its image is outside, it stays."""
     low_rival = [0.4, 1.0, -0.5]
     for rival, contested, half_space, there in (
         (low_rival, True, ABOVE, [0.4, 1.0, 2.5]),

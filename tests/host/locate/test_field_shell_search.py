@@ -191,7 +191,7 @@ def test_a_field_is_off_by_one_deviation_where_it_is_off_by_three_tenths_or_by_t
 @pytest.mark.parametrize("scale", [1.0, 1e-6])
 @pytest.mark.parametrize("axes", [(0, 1, 2), (0, 1), (0, 2), (1, 2), (0,), (2,)])
 def test_at_the_true_place_nothing_is_lost_and_the_attitude_is_the_true_one(axes, scale):
-    """Of some beacons, of which one is not measured and one by two axes only; of one axis where it points."""
+    """Some beacons, one not measured and one by two axes only; with one axis, where that points."""
     rng = np.random.default_rng(23)
     turns = Rotation.random(6, rng=rng).as_matrix()
     for turn in turns:

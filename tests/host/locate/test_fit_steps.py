@@ -76,7 +76,7 @@ def test_what_is_known_of_measurements_is_counted():
 
 
 def test_an_error_of_the_model_adds_to_that_of_the_noise():
-    """Of 3 and of half of the field: 3, 4, 5 is the oldest of triangles."""
+    """The parts are 3 and half of the field: 3, 4, 5 is the oldest of triangles."""
     some = by_hand()
     weight = some.inverse_sigma(0.5)
     assert weight.shape == (4, 3, 3)

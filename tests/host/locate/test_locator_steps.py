@@ -140,7 +140,7 @@ def test_where_there_is_no_pose_it_is_said_why(site, run, solved):
 
 
 def test_a_pose_needs_as_many_components_as_unknowns_whatever_was_found(site, run, monkeypatch):
-    """Of three beacons of two axes there are six components, of four and one axis only four for five unknowns."""
+    """Three beacons of two axes have six components, four of one axis only four for five unknowns."""
 
     def solve(self, measurements):
         found = unsolved(self.at(measurements, run.position_m[:1], run.rotation[:1]))

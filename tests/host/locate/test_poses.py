@@ -85,7 +85,7 @@ def only(e, count=5):
 
 
 def test_what_comes_in_the_way_of_one_epoch_is_told_of_that_alone(five):
-    """Of epochs of one batch each has another flaw, and one a flaw that an alarm has explained."""
+    """Each epoch of one batch has another flaw, and one a flaw that an alarm has explained."""
     rival = replace(five.solutions.best, position_m=five.solutions.best.position_m + np.array([0.0, 0.0, 0.5]))
     verdict = Verdict((FINDING,), FINDING.text, None, np.arange(0), {})
     judged = some(five, outside=only(0) | only(4), contested=only(1), bounded=only(2), rival=rival)
@@ -231,7 +231,7 @@ def test_nothing_is_promised_beyond_the_room_in_which_metal_was_learned(five, mo
 
 
 def test_a_beacon_that_was_not_measured_is_not_heard():
-    """Of the weak pose of a fit that went astray, so near to that beacon that its field would tell."""
+    """The pose is weak, of a fit that went astray, so near to that beacon that its field would tell."""
     judged = judged_of(change=lambda field: np.where(np.arange(8)[:, None] == 3, np.nan, field))
     judged.measurements.noise_T[:] = 1e-5
     nearest = SITE.beacons[3].position_m

@@ -28,7 +28,7 @@ def test_far_poses_fail_as_rarely_as_stated():
 @pytest.mark.parametrize("row", range(3))
 @pytest.mark.parametrize("share", [0.999, 1.001])
 def test_the_limit_is_that_of_the_components_beside_those_of_the_strongest_beacon(row, share):
-    """Of a sensor with three axes, of one with one axis, and of beacons of which the strongest has one more or less."""
+    """A sensor with three axes, one with one axis, and beacons of which the strongest has one more or less."""
     known = np.array([[3, 3, 3, 3], [1, 1, 0, 0], [2, 3, 1, 0]])[row]
     others = (6 + 3, 1, 2 + 1)[row]
     field, sigma = np.full((1, 4, 3), np.nan), np.array([[2.0, 3.0, 0.5, 1.0]])

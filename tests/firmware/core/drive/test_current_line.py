@@ -239,7 +239,7 @@ def test_a_chip_counts_for_its_line_unless_it_asks_for_nothing_or_is_far_too_sho
 
 
 def test_a_set_point_of_one_count_has_the_direction_of_its_sign(core):
-    """Of a reference so coarse that one count is more than a coil may be open with."""
+    """A reference is so coarse that one count is more than a coil may be open with."""
     _, lib = core
     for sign in (1, -1):
         for look in (
