@@ -32,32 +32,39 @@ static void profile(const pose_problem_t *problem, const float position_m[3], wa
     }
 }
 
-/* Offers a candidate to the list, which stays sorted by loss, with its entries apart. */
+static bool near(const pose_candidate_t *a, const pose_candidate_t *b, float apart2) {
+    float between[3];
+    vector3_subtract(a->position_m, b->position_m, between);
+    return vector3_dot(between, between) < apart2;
+}
+
+/* Offers a candidate to the list, which stays sorted by loss, with its entries apart: if no better one is near, it goes
+ * to its place, and worse ones that are near leave. */
 static void offer(pose_candidates_t *found, const pose_candidate_t *offered, float apart2) {
-    uint32_t place = found->count;
-    for (uint32_t i = 0; i < found->count; i++) {
-        float between[3];
-        vector3_subtract(found->candidates[i].position_m, offered->position_m, between);
-        if (vector3_dot(between, between) < apart2) {
-            if (found->candidates[i].loss <= offered->loss) {
-                return;
-            }
-            place = i; /* It replaces its worse neighbour. */
-            break;
-        }
+    pose_candidate_t *list = found->candidates;
+    if (found->count == POSE_SEARCH_CANDIDATES && list[POSE_SEARCH_CANDIDATES - 1u].loss <= offered->loss) {
+        return;
     }
-    if (place == POSE_SEARCH_CANDIDATES) {
-        place--;
-        if (found->candidates[place].loss <= offered->loss) {
+    uint32_t place = 0;
+    for (; place < found->count && list[place].loss <= offered->loss; place++) {
+        if (near(&list[place], offered, apart2)) {
             return;
         }
-    } else if (place == found->count) {
-        found->count++;
     }
-    for (; place > 0u && found->candidates[place - 1u].loss > offered->loss; place--) {
-        found->candidates[place] = found->candidates[place - 1u];
+    pose_candidate_t moving = *offered;
+    for (uint32_t i = place; i < found->count; i++) {
+        const pose_candidate_t worse = list[i];
+        if (!near(&worse, offered, apart2)) {
+            list[place] = moving;
+            place++;
+            moving = worse;
+        }
     }
-    found->candidates[place] = *offered;
+    if (place < POSE_SEARCH_CANDIDATES) {
+        list[place] = moving;
+        place++;
+    }
+    found->count = place;
 }
 
 static void place(const loop_t *loop, const float direction[3], float distance, float position_m[3]) {

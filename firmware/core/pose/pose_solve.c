@@ -7,6 +7,7 @@
 #include "core/pose/pose_mirror.h"
 
 #define LEAST_EVALUATIONS 12u   /* Fewest evaluations that are worth the name of a fit. */
+#define LAST_EVALUATIONS  20u   /* Most evaluations of the fit of the last resort, which bounds the last step. */
 #define RIVAL_COST        15.0f /* Distance in cost of a rival: a pose so much worse is right in one case of e^7.5. */
 
 bool pose_solve_explains(const pose_problem_t *problem, const pose_fit_t *fit, float deviate) {
@@ -29,8 +30,8 @@ static bool different(const pose_problem_t *problem, const pose_fit_t *a, const 
 static void note(pose_solver_t *solver, const pose_fit_t *fit) {
     const pose_problem_t *problem = &solver->problem;
     pose_fit_t *best = &solver->best;
-    const bool other = best->cost < POSE_FIT_HOPELESS && different(problem, best, fit) &&
-                       pose_problem_inside(problem, fit->position_m) && pose_problem_inside(problem, best->position_m);
+    const bool other = different(problem, best, fit) && pose_problem_inside(problem, fit->position_m) &&
+                       pose_problem_inside(problem, best->position_m);
     const float worse = fit->cost > best->cost ? fit->cost : best->cost;
     solver->rival = other && worse < solver->rival ? worse : solver->rival;
     if (fit->cost < best->cost) {
@@ -88,7 +89,8 @@ bool pose_solve_step(pose_solver_t *solver, uint32_t *evaluations) {
         }
         if (solver->best.cost >= POSE_FIT_HOPELESS && solver->image.cost < POSE_FIT_HOPELESS) {
             solver->best = solver->image;
-            solver->left -= pose_fit(&solver->problem, solver->left, &solver->best);
+            const uint32_t most = solver->left < LAST_EVALUATIONS ? solver->left : LAST_EVALUATIONS;
+            solver->left -= pose_fit(&solver->problem, most, &solver->best);
         }
         solver->contested = solver->rival - solver->best.cost < RIVAL_COST;
         solver->stage = POSE_SOLVE_DONE;

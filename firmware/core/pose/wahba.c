@@ -25,20 +25,23 @@ void wahba_add(wahba_t *wahba, const float site[3], const float sensor[3], float
     wahba->energy += weight * (vector3_dot(site, site) + vector3_dot(sensor, sensor));
 }
 
+static float square_sum(const float m[3][3]) {
+    return vector3_dot(m[0], m[0]) + vector3_dot(m[1], m[1]) + vector3_dot(m[2], m[2]);
+}
+
+/* Without any pairs nothing is a number, and no comparison is true. */
 static void scaled(const wahba_t *wahba, quartic_t *q) {
-    const float scale = wahba->energy > 0.0f ? 2.0f / wahba->energy : 0.0f;
-    q->norm2 = 0.0f;
+    const float scale = 2.0f / wahba->energy;
     for (uint32_t row = 0; row < 3u; row++) {
         for (uint32_t column = 0; column < 3u; column++) {
             q->h[row][column] = scale * wahba->h[row][column];
         }
-        q->norm2 += vector3_dot(q->h[row], q->h[row]);
     }
-    q->cofactors2 = 0.0f;
     for (uint32_t row = 0; row < 3u; row++) {
         vector3_cross(q->h[(row + 1u) % 3u], q->h[(row + 2u) % 3u], q->cofactors[row]);
-        q->cofactors2 += vector3_dot(q->cofactors[row], q->cofactors[row]);
     }
+    q->norm2 = square_sum((const float(*)[3])q->h);
+    q->cofactors2 = square_sum((const float(*)[3])q->cofactors);
     q->determinant = vector3_dot(q->h[0], q->cofactors[0]);
 }
 
@@ -59,8 +62,7 @@ static float greatest_root(const quartic_t *q) {
 float wahba_loss(const wahba_t *wahba) {
     quartic_t q;
     scaled(wahba, &q);
-    const float loss = wahba->energy * (1.0f - greatest_root(&q));
-    return loss > 0.0f ? loss : 0.0f;
+    return wahba->energy * (1.0f - greatest_root(&q));
 }
 
 /* R is proportional to (kappa + |H|^2) H + lambda adj(H)' - H H' H, kappa = (lambda^2 - |H|^2)/2. */
@@ -69,6 +71,11 @@ void wahba_rotation(const wahba_t *wahba, float quaternion[4]) {
     scaled(wahba, &q);
     const float lambda = greatest_root(&q), kappa = 0.5f * (lambda * lambda - q.norm2);
     const float zeta = kappa * lambda - q.determinant;
+    if (!(zeta > 1e-7f)) { /* All vectors are parallel. */
+        quaternion[0] = quaternion[1] = quaternion[2] = 0.0f;
+        quaternion[3] = 1.0f;
+        return;
+    }
     float matrix[3][3];
     for (uint32_t row = 0; row < 3u; row++) {
         for (uint32_t column = 0; column < 3u; column++) {
@@ -77,7 +84,7 @@ void wahba_rotation(const wahba_t *wahba, float quaternion[4]) {
                 cubic += vector3_dot(q.h[row], q.h[k]) * q.h[k][column];
             }
             const float sum = (kappa + q.norm2) * q.h[row][column] + lambda * q.cofactors[row][column] - cubic;
-            matrix[row][column] = zeta > 1e-7f ? sum / zeta : (row == column ? 1.0f : 0.0f);
+            matrix[row][column] = sum / zeta;
         }
     }
     quaternion_from_matrix((const float(*)[3])matrix, quaternion);

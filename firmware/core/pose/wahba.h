@@ -10,7 +10,8 @@
  *
  * Accuracy. Single precision leaves 1e-4 of E in the loss and 1e-3 rad in R when the vectors point in clearly
  * different directions: a start for a fit, not a result. With all vectors parallel R is one of many; wahba_rotation
- * still gives a rotation.
+ * still gives a rotation. Where the vectors of one frame are more than twenty times as long as those of the other,
+ * Newton does not arrive: the loss is up to 0.035 E too small then, and R is none.
  *
  * Time (Cortex-M4, -O3): wahba_add takes 80 instructions, wahba_loss 180, wahba_rotation 300. Memory: 40 bytes.
  */

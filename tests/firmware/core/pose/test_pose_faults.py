@@ -1,13 +1,17 @@
 """The tests of a fit: alarm, drops, gains and protection level against least squares in double precision."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2, norm
 
+from goldfield.locate.fault_statistics import FALSE_ALARM, OF_SENSOR, OF_SINGLE, OF_STRENGTH, OF_WHOLE
 from goldfield.locate.protection import level_of
 from goldfield.site.model import Survey
+from hil_sim.clib import ROOT
 from tests.firmware.core.pose.fault_truth import AXES, SKEWS, Truth, field_T
 from tests.firmware.core.pose.test_pose import Sensor
 
@@ -294,3 +298,14 @@ def test_a_cost_that_is_no_number_raises_the_alarm(core, mixed_cube):
     assert not fitted.faults().alarm
     fitted.fit.cost = float("nan")
     assert fitted.faults().alarm
+
+
+def test_the_limits_of_the_faults_are_those_of_the_hosts_shares():
+    """The host shares its false alarms by the number of beacons; the board takes the share of sixteen."""
+    source = (ROOT / "firmware/core/pose/pose_faults.c").read_text()
+    written = {name: float(value) for name, value in re.findall(r"#define (\w+) +([\d.]+)f", source)}
+    whole = norm.isf(OF_WHOLE * FALSE_ALARM)
+    beacon, strength = chi2.isf(OF_SINGLE * FALSE_ALARM / 16, 3), chi2.isf(OF_STRENGTH * FALSE_ALARM / 16, 1)
+    sensor = [chi2.isf(share * FALSE_ALARM, freedom) for share, freedom in zip(OF_SENSOR, (1, 3, 6), strict=True)]
+    names = ("WHOLE_DEVIATE", "LIMIT_BEACON", "LIMIT_STRENGTH", "LIMIT_COMMON", "LIMIT_AXES", "LIMIT_SKEWED")
+    assert [written[name] for name in names] == pytest.approx([whole, beacon, strength, *sensor], abs=0.01)
