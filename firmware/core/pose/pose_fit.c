@@ -101,12 +101,12 @@ static bool settled(const pose_fit_t *fit, float tolerance) {
 static uint32_t minimise(const pose_problem_t *problem, bool nuisance, float damping, float tolerance, uint32_t limit,
                          pose_fit_t *fit) {
     uint32_t evaluations = 0;
-    fit->converged = false;
-    while (!fit->converged && fit->cost < POSE_FIT_HOPELESS && damping < DAMPING_MOST && evaluations < limit) {
+    bool last = false;
+    while (!last && fit->cost < POSE_FIT_HOPELESS && damping < DAMPING_MOST && evaluations < limit) {
         float step[TRIANGLE_UNKNOWNS];
         pose_fit_t trial = *fit;
-        fit->converged = settled(fit, tolerance);
-        triangle_solve(&fit->triangle, fit->converged ? DAMPING_LAST : damping, step);
+        last = settled(fit, tolerance);
+        triangle_solve(&fit->triangle, last ? DAMPING_LAST : damping, step);
         for (uint32_t axis = 0; axis < 3u; axis++) {
             trial.position_m[axis] += step[axis];
         }
@@ -114,7 +114,6 @@ static uint32_t minimise(const pose_problem_t *problem, bool nuisance, float dam
         evaluate(problem, nuisance, &trial);
         evaluations++;
         if (trial.cost <= fit->cost + 2.0f * fit->rounding * square_root(fit->cost)) {
-            trial.converged = fit->converged;
             *fit = trial;
             damping = damping > 10.0f * DAMPING_LEAST ? 0.1f * damping : DAMPING_LEAST;
         } else {

@@ -28,7 +28,6 @@ typedef struct {
     float quaternion[4];
     float cost;     /* Sum of squared whitened residuals: chi-square with 3 count - 6 degrees of freedom. */
     float rounding; /* Rounding of the strongest field's residual, in its standard deviations. */
-    bool converged; /* The last step promised to lower the cost by next to nothing. */
     /* Whitened Jacobian at the pose, by position, then by a turn in the site's frame: the information is R'R. */
     triangle_t triangle;
     nuisance_t sensor; /* The sensor's errors, eliminated. */

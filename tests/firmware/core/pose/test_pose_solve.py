@@ -105,7 +105,15 @@ def test_a_candidate_is_fitted_while_evaluations_are_left(core, place, left):
 
 @pytest.mark.parametrize(
     ("count", "inside", "cost", "more"),
-    [(4, True, 1.0, False), (3, True, 1.0, True), (4, False, 1.0, True), (4, True, 99.0, True), (8, True, 1.0, False)],
+    [
+        (4, True, 16.4, False),
+        (4, True, 17.5, True),
+        (4, True, 1.0, False),
+        (3, True, 1.0, True),
+        (4, False, 1.0, True),
+        (4, True, 99.0, True),
+        (8, True, 1.0, False),
+    ],
 )
 def test_another_candidate_is_fitted_unless_one_was_found(core, place, count, inside, cost, more):
     """From four beacons on, if it explains the fields (the limit is 16.8) and is in the half-space."""
