@@ -1,8 +1,9 @@
-# `make check test` runs each test once. The wheel has a target of its own. There are two workers, so each computes on
-# one processor: OpenBLAS would start two threads in each. Who has nothing left to do takes half of what the other has:
-# the tests of a file, which share what they set up, mostly stay together. Where the environment forbids Python to keep what
-# it compiled, as those of containers do, each worker and each program that a test starts would compile all of it again.
-PYTEST := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(PYTHON) -m pytest -n 2 --dist worksteal -q --ignore=tests/packaging
+# `make check test` runs each test once. The wheel has a target of its own. There are three workers for two processors,
+# as many tests wait, for a browser, a broker or a process; each computes on one processor: OpenBLAS would start two
+# threads in each. Who has nothing left to do takes half of what another has: the tests of a file, which share what they
+# set up, mostly stay together. Where the environment forbids Python to keep what it compiled, as those of containers do,
+# each worker and each program that a test starts would compile all of it again.
+PYTEST := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(PYTHON) -m pytest -n 3 --dist worksteal -q --ignore=tests/packaging
 
 test: test-fast test-long test-host-boards ## All tests but the slow ones
 
