@@ -214,8 +214,17 @@ static drive_limits_t limits_of(const drive_settings_t *settings) {
     };
 }
 
+static void set_wanted(drive_t *drive, bool wanted) {
+    drive->wanted = drive->meant = wanted;
+}
+
+/* Whether no bit has flipped in what changes the current, or ends it, and is noticed by nothing else. */
+static bool intact(const drive_t *drive) {
+    return drive->wanted == drive->meant && current_alike(&drive->current[0], &drive->current[1]);
+}
+
 static void apply_settings(drive_t *drive) {
-    drive->wanted = false;
+    set_wanted(drive, false);
     drive_stop(drive);
     drive->settings = read_settings(drive->node);
     drive->limits = limits_of(&drive->settings);
@@ -235,8 +244,8 @@ static void apply_settings(drive_t *drive) {
     };
     const bool configured = current_configure(&drive->current[0], &config) &&
                             current_configure(&drive->current[1], &config);
-    drive->wanted = configured && !drive->no_waveform && drive->settings.amplitude_A > 0.0f &&
-                    hal_clock(drive->node->hal) == HAL_CLOCK_CRYSTAL;
+    set_wanted(drive, configured && !drive->no_waveform && drive->settings.amplitude_A > 0.0f &&
+                          hal_clock(drive->node->hal) == HAL_CLOCK_CRYSTAL);
 }
 
 /* Somebody asks to clear what is latched: node.h has seen to it that it is not in vain. A current that is in a fault
@@ -294,6 +303,9 @@ void drive_configure(drive_t *drive) {
 
 void drive_step(drive_t *drive) {
     node_t *const node = drive->node;
+    if (!intact(drive)) {
+        hal_reset(node->hal); /* Nobody has set what is in force: the board starts anew, and tells that. */
+    }
     if (drive->phase != DRIVE_ON) {
         latch_on(&drive->latch, false);
     }

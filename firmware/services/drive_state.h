@@ -56,6 +56,7 @@ typedef struct {
     drive_settings_t settings;
     int16_t levels[HAL_CHANNELS][DRIVE_CHIPS_MAX]; /* Level of each chip of the sync period (WAVEFORM_ONE is 1). */
     volatile bool wanted; /* Set by main: the settings are complete, the amplitude is not 0, the clock is good. */
+    bool meant;           /* What main has set it to: a bit of one that flips is found. */
     uint8_t halve_from, halve_to; /* The chips of the block being planned that have half their current. */
     bool no_waveform;             /* The settings make no waveform. */
     bool several_levels;          /* Its levels, 0 left aside, have several sizes. */

@@ -142,7 +142,7 @@ def _variable(elf: ELFFile, name: str) -> Any:
 
 @cache
 def place_of(path: Path, dotted: str) -> range:
-    """Return the addresses of a variable, or of a member of it, as ``beacon.node.parameters``.
+    """Return the addresses of a variable, or of a member of it, as ``beacon.drive.current[1].state``.
 
     Raises
     ------
@@ -155,7 +155,8 @@ def place_of(path: Path, dotted: str) -> range:
         [symbol] = elf.get_section_by_name(".symtab").get_symbol_by_name(variable)
         address = int(symbol["st_value"])
         die = _variable(elf, variable).get_DIE_from_attribute("DW_AT_type")
-        for member in members:
+        for named in members:
+            member, _, place = named.rstrip("]").partition("[")
             die = next(
                 (
                     child
@@ -168,4 +169,7 @@ def place_of(path: Path, dotted: str) -> range:
                 raise KeyError(f"'{dotted}' has no member '{member}'")
             address += int(die.attributes["DW_AT_data_member_location"].value)
             die = die.get_DIE_from_attribute("DW_AT_type")
+            if place:
+                die = _plain(die).get_DIE_from_attribute("DW_AT_type")
+                address += int(place) * _size(die)
         return range(address, address + _size(die))

@@ -24,9 +24,14 @@ def named(name: str) -> Workload:
 
 
 def outcomes(
-    workload: Workload, *, functions: tuple[str, ...] = (), every: int = 1, kind: str = "skip"
+    workload: Workload,
+    *,
+    functions: tuple[str, ...] = (),
+    places: tuple[str, ...] = (),
+    every: int = 1,
+    kind: str = "skip",
 ) -> list[Outcome]:
-    """Run the upsets of some functions, or a share of all."""
+    """Run the upsets of some functions, or of some variables, or a share of all."""
     bench, visits, sound = ready(workload)
     own = instructions(workload.image)
     found = [
@@ -34,6 +39,9 @@ def outcomes(
         for one in upsets_of(workload, visits, (kind,))
         if not functions or one.kind == "ram" or own[one.address].function in functions
     ]
+    if places:
+        held = [place_of(workload.image, place) for place in places]
+        found = [one for one in found if any(one.address in addresses for addresses in held)]
     assert found
     done = list(run(workload, bench, found[::every], sound, 1))
     bench.close()
@@ -142,6 +150,16 @@ def test_a_sample_of_flips() -> None:
     check(outcomes(named("before"), every=997, kind="ram"))
 
 
+@pytest.mark.slow
+def test_no_bit_of_what_makes_the_current_is_needed_alone() -> None:
+    """Four bits of the sense's amperes once had another current flow, and one the drive end: nobody was told."""
+    done = outcomes(
+        named("before"), places=("beacon.drive.current[0].config.sense_A", "beacon.drive.wanted"), kind="ram"
+    )
+    assert len(done) == 40
+    check(done)
+
+
 def test_an_upset_does_the_same_each_time(capsys: pytest.CaptureFixture[str]) -> None:
     workload = named("locked")
     bench, visits, _ = ready(workload)
@@ -173,6 +191,18 @@ def test_a_parameter_that_has_changed_by_itself_ends_in_a_reset_that_is_told() -
     before.close()
     board.run(4 * SECOND)
     assert told(board, 1400 * MS).resets == 0
+    board.close()
+
+
+@pytest.mark.parametrize(("name", "byte"), [("current[0].config.sense_A", 2), ("wanted", 0)])
+def test_a_bit_that_flips_in_what_makes_the_current_ends_in_a_reset_that_is_told(name: str, byte: int) -> None:
+    board = quiet()
+    board.run(100 * MS)
+    board.emulator.flip_memory(place_of(BEACON_IMAGE, f"beacon.drive.{name}").start + byte, 1)
+    board.run(300 * MS)
+    assert told(board, 100 * MS).resets == 1
+    board.run(SECOND)
+    assert told(board, 300 * MS).resets == 0
     board.close()
 
 

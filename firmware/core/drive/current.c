@@ -48,6 +48,12 @@ bool current_configure(current_t *current, const current_config_t *config) {
     return true;
 }
 
+bool current_alike(const current_t *one, const current_t *other) {
+    const current_config_t *const a = &one->config, *const b = &other->config;
+    return a->sense_A == b->sense_A && a->reference_A == b->reference_A && a->amplitude_A == b->amplitude_A &&
+           a->open_fraction == b->open_fraction && a->several_levels == b->several_levels;
+}
+
 bool current_ready(const current_t *current) {
     return current->zeros >= CURRENT_ZERO_CHIPS;
 }

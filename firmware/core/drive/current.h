@@ -127,6 +127,10 @@ typedef struct {
  * Returns false, with nothing done, if a value is outside its range or not a number. */
 bool current_configure(current_t *current, const current_config_t *config);
 
+/* Returns whether two currents have one configuration. They are of one driver, and are given one: where they have not,
+ * a bit has flipped. */
+bool current_alike(const current_t *one, const current_t *other);
+
 /* Returns whether the zero of the sense is known. */
 bool current_ready(const current_t *current);
 

@@ -96,7 +96,8 @@ static inline void take_more(uint32_t count, const float *gram, const float more
 
 /* Computes the gradient of the likelihood, times sigma^2, which is the right side of the rows. */
 static void descend(const block_t *block, const loop_t *coils, block_measure_t *measure) {
-    float offset[3], residual[3], crossed[3], by_p[3] = {0.0f}, by_theta[3] = {0.0f}, more_uT[BLOCK_COLUMNS][3];
+    float offset[3], residual[3] = {0.0f}, crossed[3], by_p[3] = {0.0f}, by_theta[3] = {0.0f},
+                     more_uT[BLOCK_COLUMNS][3];
     multiply((const float(*)[3])measure->rotation, measure->reference.offset_uT, offset);
     if (measure->held) {
         differ(coils, block->columns - 1u, measure, more_uT);

@@ -29,6 +29,8 @@ class Fitting(Explaining):
         self.fields = place.fields + noise * SIGMA_T * np.random.default_rng(3).normal(size=place.fields.shape)
         super().__init__(core, place, self.fields)
         self.problem.count = self.count = count
+        for heard in self.problem.heard:
+            heard.whitening = [3.0] * 6
         self.fit = self.ffi.new("pose_fit_t *")
         self.ffi.memmove(self.fit, b"\x7f" * self.ffi.sizeof("pose_fit_t"), self.ffi.sizeof("pose_fit_t"))
         self.start(self.fit, offset_m)
