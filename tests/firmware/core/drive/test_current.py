@@ -561,3 +561,30 @@ def test_a_current_beyond_what_the_line_expects_is_told_as_one_that_is_short(cor
     assert loop.headroom_lost == (abs(beyond) > (expected >> 6) + 6)
     drive.run(31 * 33)
     assert not loop.headroom_lost
+
+
+@pytest.mark.parametrize(
+    "other",
+    [{"sense": 2 * SENSE}, {"reference": REFERENCE / 2}, {"amplitude": 2.0}, {"open_fraction": 0.25}, {"sizes": True}],
+)
+def test_currents_are_alike_that_are_configured_alike(core, other):
+    """However far one of them has come."""
+    values = {"amplitude": 1.0}
+    one, two, unlike = (configure(core, **(values | changed))[0] for changed in ({}, {}, other))
+    Drive(core, one).run(100)
+    alike = core[1].current_alike
+    assert alike(one, two)
+    assert alike(two, one)
+    assert not alike(one, unlike)
+    assert not alike(unlike, one)
+
+
+def test_a_start_leaves_the_current_behind_it_alone(core):
+    ffi, lib = core
+    loops = ffi.new("current_t[2]")
+    loops[0] = configure(core, 1.0)[0][0]
+    behind = ffi.buffer(loops + 1)
+    behind[:] = b"\x5a" * len(behind)
+    lib.current_start(loops)
+    assert loops[0].state == RAMPING
+    assert bytes(behind) == b"\x5a" * len(behind)
