@@ -52,7 +52,7 @@ static void eliminate(block_t *block, uint32_t k) {
 }
 
 bool block_separate(block_t *block) {
-    float whole[BLOCK_COLUMNS];
+    float whole[BLOCK_COLUMNS] = {0.0f};
     for (uint32_t k = 0; k < block->columns; k++) {
         whole[k] = block->gram[k][k];
     }
