@@ -57,7 +57,7 @@
  *
  * Contexts: current_sample (which uses the floating-point unit), current_edge and current_middle belong to the
  * interrupt of the sense; current_set_point to the planner alone. The others are for main, and write single words that
- * the interrupts read; current_configure only while the bridge is off. Memory: 184 bytes.
+ * the interrupts read; current_configure only while the bridge is off. Memory: 232 bytes.
  */
 #ifndef GOLDFIELD_CURRENT_H
 #define GOLDFIELD_CURRENT_H
@@ -147,8 +147,8 @@ void current_stop(current_t *current);
 int16_t current_set_point(current_t *current, int32_t level);
 
 /* Take a measurement, once a chip. driven tells whether the bridge is on and the chip's level is not 0; set_point is
- * what was asked, in counts with the bridge's sign, -4095..4095, 0 if not driven. count is the sense's. Costs about 120
- * instructions, once in CURRENT_BLOCK_CHIPS about 410. Returns CAUSE_NONE, or why the bridge must be switched off at
+ * what was asked, in counts with the bridge's sign, -4095..4095, 0 if not driven. count is the sense's. Costs about 134
+ * instructions, once in CURRENT_BLOCK_CHIPS about 450. Returns CAUSE_NONE, or why the bridge must be switched off at
  * once; in CURRENT_FAULT its cause, at each look again, so that a bridge that has missed it once goes off all the
  * same. */
 cause_t current_sample(current_t *current, bool driven, int16_t set_point, uint16_t count);
