@@ -246,8 +246,8 @@ def test_beacon(call: Machine, most: tuple[int, int, int, int, int]) -> None:
     assert chip_most <= most[2]
     assert max(edges) <= most[3]
     assert max(middles) <= most[4]
-    assert min(idle) <= 385
-    assert listening <= 560
+    assert min(idle) <= 425
+    assert listening <= 600
 
 
 def test_sensor(call: Machine) -> None:
@@ -299,7 +299,7 @@ def test_anchor_with_two_channels(call: Machine) -> None:
     print(f"anchor: start {start}, samples and plan of a block {max(samples)} + {max(plans)}, with currents {block}")
     print(f"        main idle {min(idle)}, with a report of 8 codes {max(reports)} instructions")
     assert block <= 30_000  # A block lasts 509,000 ticks.
-    assert min(idle) <= 520
+    assert min(idle) <= 570
     assert max(reports) <= 110_000
 
 
