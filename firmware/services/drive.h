@@ -80,7 +80,9 @@ void drive_start(drive_t *drive, node_t *node, timing_t *timing);
  */
 void drive_plan(drive_t *drive, uint32_t block, hal_plan_t *plan);
 
-/* Send the messages that are due and write the node's counters: one turn of the main loop, before upkeep_step. */
+/* Send the messages that are due and write the node's counters: one turn of the main loop, before upkeep_step. Where a
+ * bit has flipped in what makes the current, or in whether a drive is wanted, the board starts anew and does not return
+ * from here. */
 void drive_step(drive_t *drive);
 
 /* Returns the board's state as the drive sees it. */

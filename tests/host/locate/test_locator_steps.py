@@ -20,16 +20,11 @@ from goldfield.site.metal import BeaconMetal, Metal
 from goldfield.types import LEAST_SIGMA_T, Explanation, Fields, Finding, Status
 from tests.bench import locate_trials as bench
 from tests.host.locate import built_sites as built
+from tests.host.locate.steps import SIGMA_T
 
 NAMES = tuple(f"b{i}" for i in range(8))
-SIGMA_T = 1e-9
 UNKNOWN = Finding(Explanation.UNKNOWN, (), "nothing explains it")
 DEAD = Finding(Explanation.DEAD, ("b5",), "b5 has no field")
-
-
-@pytest.fixture(scope="module")
-def site():
-    return bench.prigge_cube(2e-8)
 
 
 @pytest.fixture(scope="module")
