@@ -157,7 +157,7 @@ def unit_vector_fit(field: FloatArray, value: FloatArray, weight: FloatArray) ->
     eigenvalue, vector = np.linalg.eigh(weighted.swapaxes(1, 2) @ field)
     along = np.einsum("mck,mc->mk", vector, np.einsum("mnc,n->mc", weighted, value))
     lowest = eigenvalue[:, 0]
-    least = -lowest + 1e-12 * eigenvalue[:, 2]
+    least = -lowest + 1e-12 * eigenvalue[:, 2] + np.finfo(float).tiny
     mu = np.maximum(-lowest + np.abs(along[:, 0]), least)  # |s| >= 1 here, so Newton climbs from one side
     for _ in range(12):
         parts = along / (eigenvalue + mu[:, None])

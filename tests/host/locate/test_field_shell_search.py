@@ -225,3 +225,11 @@ def test_the_loss_of_three_axes_is_scipys_of_the_same_weights():
         assert loss[k] == pytest.approx(root**2, rel=1e-9)
         found = profiled_attitude(modelled[k : k + 1], measured, sigma)[0]
         np.testing.assert_allclose(found, attitude.as_matrix(), atol=1e-6)
+
+
+def test_without_any_field_there_is_a_unit_vector_all_the_same():
+    direction, misfit = unit_vector_fit(
+        np.zeros((1, 4, 3)), np.array([1.0, 2.0, 0.0, -1.0]), np.array([1.0, 0.5, 1.0, 2.0])
+    )
+    assert np.linalg.norm(direction) == pytest.approx(1.0)
+    assert misfit == pytest.approx(1.0 + 0.5 * 4.0 + 2.0)
