@@ -86,6 +86,8 @@ format: $(BUILD)/venv.stamp $(BUILD)/lint-tools.stamp ## Give Python and C their
 types: $(BUILD)/venv.stamp ## mypy
 	@$(PYTHON) -m mypy
 
-check: check-format lint misra types docs test-fast ## Before each commit: format, lint, types, documentation and the fast tests
+check-static: check-format lint misra types docs ## Format, lint, types and documentation
 
-.PHONY: lint misra check-format format types check
+check: check-static test-fast ## Before each commit: all of `make check-static`, and the fast tests
+
+.PHONY: lint misra check-format format types check-static check

@@ -1,11 +1,13 @@
-# `make check test` runs each test once. The wheel has a target of its own. There are three workers for two processors,
-# as many tests wait, for a browser, a broker or a process; each computes on one processor: OpenBLAS would start two
-# threads in each. Who has nothing left to do takes half of what another has: the tests of a file, which share what they
-# set up, mostly stay together. Where the environment forbids Python to keep what it compiled, as those of containers do,
-# each worker and each program that a test starts would compile all of it again.
+# The wheel has a target of its own. There are three workers for two processors, as many tests wait; each computes on one
+# processor: OpenBLAS would start two threads in each. Who has nothing left to do takes half of what another has: the
+# tests of a file, which share what they set up, mostly stay together. Where the environment forbids Python to keep what
+# it compiled, as those of containers do, each worker and each program that a test starts would compile all of it again.
 PYTEST := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(PYTHON) -m pytest -n 3 --dist worksteal -q --ignore=tests/packaging
 
-test: test-fast test-long test-host-boards ## All tests but the slow ones
+TOOLS := $(addprefix $(BUILD)/,$(addsuffix .stamp,qemu ngspice chromium mosquitto foxglove-reader frama-c))
+
+# Fast and long tests are one run: while some wait, for a browser, a broker or a process, others compute.
+test: test-not-slow test-host-boards ## All tests but the slow ones
 
 test-wheel: all ## Build the wheel, install it alone and use it outside the tree
 	@$(PYTHON) -m pytest tests/packaging -q -s
@@ -18,20 +20,20 @@ test-wheels: wheels ## Install the wheels of `make wheels` where there is no com
 test-fast: all $(BUILD)/qemu.stamp ## The tests that take little time: four minutes in all
 	@$(PYTEST) -m "not slow and not long"
 
-test-long: all $(BUILD)/qemu.stamp $(BUILD)/ngspice.stamp $(BUILD)/chromium.stamp $(BUILD)/mosquitto.stamp $(BUILD)/foxglove-reader.stamp $(BUILD)/frama-c.stamp ## The tests that take more
-	@$(PYTEST) -m "long and not slow"
+test-not-slow: all $(TOOLS)
+	@$(PYTEST) -m "not slow"
 
 test-host-boards: all ## End to end on host boards what depends on the boards, also what is slow on emulated ones
 	@$(PYTEST) tests/hil --goldfield-rig host -m both_boards
 
-test-slow: all $(BUILD)/qemu.stamp $(BUILD)/ngspice.stamp $(BUILD)/chromium.stamp $(BUILD)/mosquitto.stamp $(BUILD)/foxglove-reader.stamp $(BUILD)/frama-c.stamp ## All tests, the slow ones too
+test-slow: all $(TOOLS) ## All tests, the slow ones too
 	@$(PYTEST)
 
 COSTS ?= tests -m "not slow"
 test-costs: all $(BUILD)/qemu.stamp ## The dearest tests by processor time (COSTS="tests/host -m long")
 	@$(PYTEST) -p tests.bench.cpu_costs $(COSTS)
 
-.PHONY: test test-wheel test-wheels test-fast test-long test-host-boards test-slow test-costs
+.PHONY: test test-not-slow test-wheel test-wheels test-fast test-host-boards test-slow test-costs
 
 many-benches: all ## Two, then four benches beside a garbage sender for a minute each
 	@$(PYTHON) -m pytest tests/hil/test_many_benches.py -m slow -q -s
