@@ -21,6 +21,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TextIO
@@ -43,6 +44,7 @@ from tests.bench.day_judge import CYCLES, Judge, Seen
 from tests.bench.day_memory import holdings, objects, resident_bytes, slope
 from tests.campaign.links import CanLink
 from tests.campaign.stage import CYCLE_S, HIGH_M, LOW_M, RATE_RAD_S, SPEED_M_S, Stage
+from tests.command import ended, must_be_a_file, real_number, whole_number
 from tests.hil.rig_link import RigLink
 
 BEACONS = (0, 3, 5, 6, 7)
@@ -354,17 +356,25 @@ def shown(counts: dict[str, int]) -> str:
     return ", ".join(f"{number} {name or 'no fault'}" for name, number in largest_first) or "none"
 
 
-def main() -> int:
+def main(words: Sequence[str] | None = None) -> int:
     """Run, and say how it went."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--hours", type=float, default=24.0)
-    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--hours", type=real_number(least=0.01), default=24.0)
+    parser.add_argument("--seed", type=whole_number(), default=1)
     parser.add_argument(
-        "--gap", type=float, nargs=2, default=GAP_S, metavar=("LEAST", "MOST"), help="seconds from fault to fault"
+        "--gap",
+        type=real_number(least=0.0),
+        nargs=2,
+        default=GAP_S,
+        metavar=("LEAST", "MOST"),
+        help="seconds from fault to fault",
     )
     parser.add_argument("--out", type=Path, help="where the table is written each hour (default: build/day/SEED.txt)")
-    arguments = parser.parse_args()
+    arguments = parser.parse_args(words)
+    if arguments.gap[0] > arguments.gap[1]:
+        parser.error("--gap: the least is more than the most")
     path = arguments.out or Path(f"build/day/{arguments.seed}.txt")
+    must_be_a_file(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     day = Day(arguments.hours, arguments.seed, tuple(arguments.gap))
     with path.open("w", encoding="utf-8") as out:
@@ -375,4 +385,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(ended(main))

@@ -15,14 +15,17 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from goldfield_protocol import FrameDecoder, decode
 from goldfield_protocol.table import counter_name
+from hil_sim.options import cycles
 from hil_sim.rig import Rig
 from hil_sim.scenario import Scenario
+from tests.command import ended, real_number, whole_number
 from tests.firmware.host_rig import PIN_ENABLE
 from tests.hil.reference_coil import COIL
 from tests.hil.scenario_text import scenario_of
@@ -161,13 +164,13 @@ def run(hours: float, cycles: float | str, seed: int) -> list[str]:
     return found
 
 
-def main() -> int:
+def main(words: Sequence[str] | None = None) -> int:
     """Run, and say how it went."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--hours", type=float, default=1.0)
-    parser.add_argument("--cycles-per-instruction", default="2.5", metavar="X", help="a number from 1 on, or m4")
-    parser.add_argument("--seed", type=int, default=12)
-    arguments = parser.parse_args()
+    parser.add_argument("--hours", type=real_number(least=0.001), default=1.0)
+    parser.add_argument("--cycles-per-instruction", type=cycles, default=2.5, metavar="X", help="1 to 100, or m4")
+    parser.add_argument("--seed", type=whole_number(), default=12)
+    arguments = parser.parse_args(words)
     wrong = run(arguments.hours, arguments.cycles_per_instruction, arguments.seed)
     print(
         f"{arguments.hours:g} h at {arguments.cycles_per_instruction} cycles an instruction: "
@@ -177,4 +180,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(ended(main))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from itertools import pairwise
 from types import SimpleNamespace
 
@@ -16,6 +17,7 @@ from tests.campaign.sensor_kinds import passing
 from tests.campaign.table import shown
 from tests.campaign.trial import SOUND_S, Outcome, Trial
 from tests.campaign.wire_kinds import LOOK_S, at_random, regular
+from tests.command import read_results
 
 
 def outcome(group: str, name: str, seed: int = 1) -> Outcome:
@@ -130,7 +132,7 @@ def test_a_campaign_goes_on_where_it_was_stopped(tmp_path, monkeypatch, capsys):
         Outcome("none", "nothing", 1, poses=100, expected=100),
         Outcome("none", "nothing", 2, poses=99, expected=99),
     ]
-    whole = [json.dumps(one.as_dict()) for one in kept]
+    whole = [json.dumps(asdict(one)) for one in kept]
     path.write_text(whole[0] + "\n" + whole[1][:40])
     monkeypatch.setattr(command, "ProcessPoolExecutor", Here)
     monkeypatch.setattr(
@@ -139,7 +141,7 @@ def test_a_campaign_goes_on_where_it_was_stopped(tmp_path, monkeypatch, capsys):
     words = ["campaign", "--seeds", "3", "--kind", "nothing", "--results", str(path)]
     monkeypatch.setattr("sys.argv", words)
     assert command.main() == 1  # Some poses were wrong.
-    found = {(one.group, one.name, one.seed): one.poses for one in command.read(path)}
+    found = {(one.group, one.name, one.seed): one.poses for one in read_results(path, Outcome)}
     assert found[("none", "nothing", 1)] == 100
     assert found[("none", "nothing", 2)] == 7  # Its line was cut off.
     assert len(found) == 3 * sum("nothing" in kind.name for kind in KINDS)
@@ -149,14 +151,11 @@ def test_a_campaign_goes_on_where_it_was_stopped(tmp_path, monkeypatch, capsys):
 class Here:
     """Runs in this process what is submitted."""
 
-    def __init__(self, processes: int) -> None:
+    def __init__(self, processes: int, initializer) -> None:
         assert processes > 0
 
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *words):
-        pass
+    def shutdown(self, cancel_futures: bool) -> None:
+        assert cancel_futures
 
     def submit(self, call, *words):
         from concurrent.futures import Future

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import tempfile
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 from unittest.mock import patch
 
 import numpy as np
@@ -83,10 +82,6 @@ class Outcome:
     recovered_s: float | None = None
     statuses: dict[str, int] = field(default_factory=dict)
     error: str = ""
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return it as JSON knows it."""
-        return asdict(self)
 
 
 class Trial(Stage):

@@ -12,7 +12,9 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
+from goldfield.errors import UserError
 from hil_sim.clib import ROOT
+from tests.command import ended
 
 COVERED = ROOT / "build/coverage"
 LEAST = 95.0
@@ -97,7 +99,10 @@ def gcov_documents(folder: Path) -> list[Mapping[str, object]]:
 
 def main() -> int:
     """Print the tables; 1 if a side is below the limit."""
-    host = json.loads((COVERED / "host.json").read_text(encoding="utf-8"))
+    told = COVERED / "host.json"
+    if not told.exists():
+        raise UserError(f"{told}: is not there: `make coverage` measures it")
+    host = json.loads(told.read_text(encoding="utf-8"))
     sides = {
         "firmware/core, all of it": of_gcov(gcov_documents(COVERED), "firmware/core/"),
         "host, all of it": of_coverage(host, "host/"),
@@ -114,4 +119,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(ended(main))

@@ -6,16 +6,29 @@ core; of the host, where its merge does not work under atheris, the lines that e
 
 from __future__ import annotations
 
+import argparse
 import importlib
 import shutil
 import subprocess
 import sys
+import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from goldfield.errors import SystemFailure, UserError
+from tests.command import ended
+
 ROOT = Path(__file__).resolve().parents[2]
 FUZZ, CORPUS = ROOT / "build" / "fuzz", ROOT / "tests" / "fuzz" / "corpus"
+TARGETS = sorted(
+    f"{side}/{path.stem}"
+    for side, pattern in (("core", "*.c"), ("host", "[a-z]*.py"))
+    for path in Path(__file__).parent.joinpath(side).glob(pattern)
+    if path.stem not in ("standalone", "judging")
+)
+"""Every harness, by side and name."""
 MOST = 40
 """Files of a corpus: those that show most; a fuzzer finds the rest again in seconds."""
 LOOKED_AT = ("/host/goldfield/", "/protocol/", "/hil_sim/", "/can/io/", "/mcap/")
@@ -28,7 +41,13 @@ def of_core(name: str, old: list[Path]) -> list[Path]:
     merged.mkdir(parents=True)
     folders = sorted({str(path.parent) for path in old})
     words = [str(FUZZ / "bin" / name), "-set_cover_merge=1", str(merged), *folders]
-    subprocess.run(words, check=True, capture_output=True)
+    if not Path(words[0]).exists():
+        raise SystemFailure(f"{words[0]}: is not built: `make fuzz-build` builds it")
+    done = subprocess.run(words, check=False, capture_output=True, text=True)
+    if done.returncode != 0:
+        raise SystemFailure(
+            f"core/{name}: libFuzzer ended with {done.returncode}: {(done.stderr.splitlines() or [''])[-1]}"
+        )
     return sorted(merged.iterdir(), key=lambda path: -path.stat().st_size)[:MOST]
 
 
@@ -67,19 +86,43 @@ def lines_of(harness: Any, data: bytes) -> set[tuple[str, int]]:
 
 
 def keep(target: str) -> int:
-    """Make the corpus of a target anew; return how many files it has."""
-    side, name = target.split("/")
+    """Make the corpus of a target anew; return how many files it has.
+
+    Raises
+    ------
+    UserError
+        If there is no such target, or nothing of it to choose from.
+    SystemFailure
+        If libFuzzer does not choose.
+    """
+    side, _, name = target.partition("/")
     kept = CORPUS / target
-    kept.mkdir(parents=True, exist_ok=True)
+    if target not in TARGETS:
+        raise UserError(f"{target} is none of {', '.join(TARGETS)}")
     old = [path for folder in (kept, FUZZ / "found" / target) if folder.exists() for path in folder.iterdir()]
+    if not old:
+        raise UserError(f"{target}: there is nothing to keep: `make fuzz-long` finds it")
     chosen = of_core(name, old) if side == "core" else of_host(name, old)
     contents = sorted({path.read_bytes() for path in chosen})
-    shutil.rmtree(kept)
-    kept.mkdir()
-    for number, content in enumerate(contents):
-        (kept / f"{number:02d}").write_bytes(content)
+    FUZZ.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=FUZZ) as folder:
+        new = Path(folder) / name
+        new.mkdir()
+        for number, content in enumerate(contents):
+            (new / f"{number:02d}").write_bytes(content)
+        shutil.rmtree(kept, ignore_errors=True)
+        new.replace(kept)
     return len(contents)
 
 
+def main(words: Sequence[str] | None = None) -> int:
+    """Make the corpora of targets anew."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("target", nargs="+", help=", ".join(TARGETS))
+    for target in parser.parse_args(words).target:
+        print(f"{target}: {keep(target)} files")
+    return 0
+
+
 if __name__ == "__main__":
-    print(f"{sys.argv[1]}: {keep(sys.argv[1])} files")
+    sys.exit(ended(main))

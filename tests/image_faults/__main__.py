@@ -14,6 +14,7 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from tests.command import ended, growing, read_results, whole_number
 from tests.image_faults.booted import booted
 from tests.image_faults.driven import driven
 from tests.image_faults.image import name_of
@@ -51,18 +52,11 @@ def upsets_of(workload: Workload, visits: dict[int, int], kinds: tuple[str, ...]
     return found
 
 
-def read(path: Path, workloads: list[Workload]) -> list[Outcome]:
-    """Return the outcomes of these very images that a file holds; a line that was cut off is left out."""
+def of_these(outcomes: list[Outcome], workloads: list[Workload]) -> list[Outcome]:
+    """Return the last outcome of each trial that is of these very images."""
     images = {workload.name: name_of(workload.image) for workload in workloads}
-    found = {}
-    for line in path.read_text().splitlines() if path.exists() else []:
-        try:
-            one = Outcome(**json.loads(line))
-        except (ValueError, TypeError):
-            continue
-        if images.get(one.id.split("/")[0]) == one.image:
-            found[one.id] = one
-    return list(found.values())
+    found = {one.id: one for one in outcomes if images.get(one.id.split("/")[0]) == one.image}
+    return [one for one in found.values() if one.id.count("/") >= 2]
 
 
 def run_missing(
@@ -72,23 +66,16 @@ def run_missing(
     every: int,
     processes: int,
     say: Callable[[str], None],
-) -> list[Outcome]:
-    """Run what the file lacks, write each outcome as it comes, and return these."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    done = {one.id for one in read(path, workloads)}
-    new = []
-    with path.open("a") as file:
-        if path.stat().st_size:
-            file.write("\n")  # Behind a line that was cut off; an empty one is none.
+) -> None:
+    """Run what the file lacks, and write each outcome as it comes; what it raises: see `growing`."""
+    with growing(path, Outcome) as (kept, append):
+        done = {one.id for one in of_these(kept, workloads)}
         for workload in workloads:
             bench, visits, sound = ready(workload)
             todo = [upset for upset in upsets_of(workload, visits, kinds)[::every] if upset.id not in done]
             for number, outcome in enumerate(run(workload, bench, todo, sound, processes), 1):
-                file.write(json.dumps(outcome.as_dict()) + "\n")
-                file.flush()
-                new.append(outcome)
+                append(outcome)
                 say(f"\r{workload.name}: {number} of {len(todo)} trials")
-    return new
 
 
 def again(case: str, workloads: list[Workload]) -> int:
@@ -115,15 +102,15 @@ def main(words: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--workload", default="", help="only those whose name holds this")
     parser.add_argument("--kind", choices=("skip", "flip", "ram"), help="only upsets of this kind")
-    parser.add_argument("--every", type=int, default=1, help="only every so manieth trial of each workload")
+    parser.add_argument("--every", type=whole_number(1), default=1, help="only every so manieth trial of each workload")
     parser.add_argument("--case", help="this trial alone, told whole and not kept")
     parser.add_argument("--results", type=Path, default=RESULTS)
     parser.add_argument("--processes", type=int, choices=(1, 2), default=2)
     parser.add_argument("--table", action="store_true", help="run nothing")
     arguments = parser.parse_args(words)
     workloads = [one for one in WORKLOADS if arguments.workload in one.name]
-    if not workloads or arguments.every < 1:
-        parser.error(f'no workload has "{arguments.workload}" in its name' if not workloads else "--every is 1 or more")
+    if not workloads:
+        parser.error(f'no workload has "{arguments.workload}" in its name')
     if arguments.case is not None:
         return again(arguments.case, workloads)
     kinds = (arguments.kind,) if arguments.kind else ("skip", "flip", "ram")
@@ -137,10 +124,11 @@ def main(words: Sequence[str] | None = None) -> int:
             lambda text: print(text, end="", file=sys.stderr),
         )
         print(file=sys.stderr)
-    outcomes = [one for one in read(arguments.results, workloads) if one.id.split("/")[1] in kinds]
+    kept = of_these(read_results(arguments.results, Outcome), workloads)
+    outcomes = [one for one in kept if one.id.split("/")[1] in kinds]
     print(shown(outcomes, workloads))
     return 1 if wrong(outcomes) else 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(ended(main))

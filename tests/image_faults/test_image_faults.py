@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.command import read_results
 from tests.firmware.host_rig import MS, PIN_ENABLE, PINS_BRIDGE, SECOND, US, gold_chips
 from tests.firmware.services.saved_flash import REFUSED, answers, ask_to_save
-from tests.image_faults.__main__ import WORKLOADS, main, read, upsets_of
+from tests.image_faults.__main__ import WORKLOADS, main, of_these, upsets_of
 from tests.image_faults.driven import CHIP, CODE, Driven, above_us, chips, driven, history, is_code
 from tests.image_faults.image import instructions, module_of, name_of, place_of
 from tests.image_faults.linked import linked, quiet
@@ -324,8 +326,8 @@ def test_results_of_other_builds_do_not_count_and_cut_off_lines_neither(tmp_path
     path, ours = tmp_path / "outcomes.jsonl", name_of(BEACON_IMAGE)
     one = Outcome("look0/skip/08021234", ours, "board", "f", SAID, "reset")
     other = Outcome("look0/skip/08021236", "another", "board", "f", DANGEROUS, "")
-    path.write_text(json.dumps(one.as_dict()) + "\n" + json.dumps(other.as_dict()) + "\n" + '{"id": "look0/sk')
-    found = read(path, WORKLOADS)
+    path.write_text(json.dumps(asdict(one)) + "\n" + json.dumps(asdict(other)) + "\n" + '{"id": "look0/sk')
+    found = of_these(read_results(path, Outcome), WORKLOADS)
     assert found == [one]
     table = shown(found, WORKLOADS)
     assert "skips in board" in table

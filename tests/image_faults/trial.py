@@ -18,6 +18,7 @@ from typing import Any
 
 from goldfield_protocol.messages import database
 from hil_sim.emulator.emulator import Emulator
+from tests.command import end_with_parent
 from tests.image_faults.image import instructions, name_of, place_of, text_of
 from tests.image_faults.workload import Seen, Verdict, Workload
 
@@ -69,10 +70,6 @@ class Outcome:
     verdict: str
     why: str
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return it for a line of JSON."""
-        return asdict(self)
-
 
 def copied(work: Callable[[], Any]) -> tuple[int, int]:
     """Do work in a copy of this process; return its id and where its result comes from, as JSON."""
@@ -81,6 +78,7 @@ def copied(work: Callable[[], Any]) -> tuple[int, int]:
     if process:
         os.close(write)
         return process, read
+    end_with_parent()
     signal.setitimer(signal.ITIMER_PROF, LONGEST_S)
     signal.signal(signal.SIGPROF, signal.SIG_DFL)
     try:

@@ -21,6 +21,7 @@ from typing import Any
 
 import pytest
 
+from tests.command import ended, read_results, real_number, whole_number
 from tests.mutants.c_build import OUT, ROOT
 from tests.mutants.mutant import Mutant
 from tests.mutants.parts import PARTS, Part
@@ -49,12 +50,28 @@ def _source_digest(mutant: Mutant) -> str:
     return _digest([ROOT / mutant.file])
 
 
+def _read(path: Path) -> dict[str, Any]:
+    """Return what is kept of the traces; nothing, if it is damaged."""
+    try:
+        kept = json.loads(path.read_text()) if path.exists() else {}
+    except ValueError:
+        kept = {}
+    return kept if isinstance(kept, dict) else {}
+
+
+def _write(path: Path, kept: dict[str, Any]) -> None:
+    """Keep the traces: all or, if the run is ended meanwhile, those of before."""
+    new = path.with_suffix(f".{os.getpid()}")
+    new.write_text(json.dumps(kept))
+    new.replace(path)
+
+
 class Coverage:
     """Which test infects which mutants, and what it costs; kept by file of tests, until it or the core changes."""
 
     def __init__(self, tests: Tests, part: Part, file_of_it: Path):
         sources = _digest([*part.sources, Path(__file__).with_name(part.rewriter)])
-        kept = json.loads(file_of_it.read_text()) if file_of_it.exists() else {}
+        kept = _read(file_of_it)
         by_file: dict[str, list[str]] = defaultdict(list)
         for name in tests.items:
             by_file[name.split("::")[0]].append(name)
@@ -67,7 +84,7 @@ class Coverage:
             if kept.get(file, {}).get("digest") != wanted[file]:
                 print(f"tracing {file}", flush=True)
                 kept[file] = {"digest": wanted[file], "tests": tests.traced(by_file[file], part.noted)}
-                file_of_it.write_text(json.dumps(kept))
+                _write(file_of_it, kept)
             for name, (cost, told) in kept[file]["tests"].items():
                 if name in tests.items:
                     self.costs[name] = cost
@@ -81,8 +98,7 @@ class Coverage:
 
 def _kept(path: Path) -> dict[str, Result]:
     """Results of before, the last of each mutant."""
-    lines = path.read_text().splitlines() if path.exists() else []
-    return {result["name"]: Result(**result) for result in map(json.loads, lines)}
+    return {result.name: result for result in read_results(path, Result)}
 
 
 class Run:
@@ -196,14 +212,20 @@ def main(words: list[str] | None = None) -> int:
     parser.add_argument("--files", nargs="*", default=["*"], help="patterns of files, as 'link/*' or 'drive/guard.c'")
     parser.add_argument("--tests", nargs="*", help="folders or files of tests that count")
     parser.add_argument("--number", type=int, nargs="*", help="mutants by number")
-    parser.add_argument("--sample", type=int, help="so many mutants, drawn by --seed")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--budget", type=float, default=30.0, help="unmutated processor time of a mutant's tests, s")
+    parser.add_argument("--sample", type=whole_number(1), help="so many mutants, drawn by --seed")
+    parser.add_argument("--seed", type=whole_number(), default=1)
+    parser.add_argument(
+        "--budget", type=real_number(least=0.0), default=30.0, help="unmutated processor time of a mutant's tests, s"
+    )
     parser.add_argument("--fresh", action="store_true", help="use no results of before")
     parser.add_argument("--list", action="store_true", help="print the mutants and end")
     parser.add_argument("--verbose", action="store_true", help="a line for each mutant as it is tried")
-    parser.add_argument("--workers", type=int, default=1, help="compilers at a time")
+    parser.add_argument("--workers", type=whole_number(1), default=1, help="compilers at a time")
     arguments = parser.parse_args(words)
+    files = [str(source.relative_to(ROOT)) for each in PARTS.values() for source in each().sources]
+    for pattern in arguments.files:
+        if not any(fnmatch(file, f"*{pattern}") for file in files):
+            parser.error(f"no file of any part is {pattern}")
     part: Part = PARTS[arguments.part]()
     mutants = part.mutants(arguments.workers)
     chosen = [m for m in mutants if any(fnmatch(m.file, f"*{pattern}") for pattern in arguments.files)]
@@ -215,6 +237,7 @@ def main(words: list[str] | None = None) -> int:
         print("\n".join(f"{m.number:6} {m.file}:{m.line}: {m.function}: {m.what}" for m in chosen))
         return 0
     if not chosen:
+        print(f"{arguments.part}: has none of these mutants")
         return 0  # What was asked for is in another part.
     os.chdir(ROOT)
     run = Run(part, chosen, arguments)
@@ -242,4 +265,4 @@ def main(words: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(ended(main))

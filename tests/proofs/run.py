@@ -16,7 +16,9 @@ import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from goldfield.errors import SystemFailure
 from hil_sim.clib import ROOT
+from tests.command import ended
 from tests.proofs.loops import Source
 from tests.proofs.parts import HERE, Part, Run, read_parts
 
@@ -95,7 +97,7 @@ def analyse(part: Part, run: Run, firmware: Path, wraps: bool) -> tuple[Outcome,
 
     Raises
     ------
-    RuntimeError
+    SystemFailure
         If Frama-C could not read the sources.
     """
     sources = {Path(each).name: Source(firmware / each) for each in part.sources}
@@ -106,7 +108,7 @@ def analyse(part: Part, run: Run, firmware: Path, wraps: bool) -> tuple[Outcome,
         done = subprocess.run(command(part, run, firmware, wraps, table), capture_output=True, text=True, check=False)
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         if done.returncode != 0 or not table.exists():
-            raise RuntimeError(f"{part.name}: Frama-C failed: {done.stdout[-3000:]}{done.stderr[-1000:]}")
+            raise SystemFailure(f"{part.name}: Frama-C failed: {done.stdout[-3000:]}{done.stderr[-1000:]}")
         rows = unproven(table)
     outcome, met = Outcome(seconds=after.ru_utime - before.ru_utime), set()
     for row in rows:
@@ -163,6 +165,8 @@ def main(words: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.proofs.run", description=__doc__.splitlines()[0])
     parser.add_argument("part", nargs="*", help=", ".join(part.name for part in parts))
     chosen = parser.parse_args(words).part
+    if unknown := sorted(set(chosen) - {part.name for part in parts}):
+        parser.error(f"{unknown[0]} is none of {', '.join(part.name for part in parts)}")
     print(f"{'part':14}{'functions':>10}{'statements':>12}{'alarms':>8}{'wraps':>7}{'argued':>8}{'seconds':>9}")
     failed = False
     for part in parts:
@@ -183,4 +187,4 @@ def main(words: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(ended(main))

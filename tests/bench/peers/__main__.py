@@ -19,6 +19,7 @@ from tests.bench.peers.bench import Bench
 from tests.bench.peers.measure import ROUNDS
 from tests.bench.peers.row import Row
 from tests.bench.peers.table import differences, text, told_of
+from tests.command import ended, whole_number
 
 SUBJECTS = (
     *("despread", "separation", "decode", "location", "tracking", "survey", "plan", "latency", "emulator"),
@@ -69,16 +70,18 @@ def main(argv: list[str] | None = None) -> int:
     """Do what the command line says."""
     parser = argparse.ArgumentParser(description="Measure how fast goldfield is beside what else one would use.")
     parser.add_argument("subjects", nargs="*", metavar="SUBJECT", help=f"of {', '.join(SUBJECTS)} (default: all)")
-    parser.add_argument("--rounds", type=int, default=ROUNDS, help=f"of each pair (default {ROUNDS})")
+    parser.add_argument("--rounds", type=whole_number(1), default=ROUNDS, help=f"of each pair (default {ROUNDS})")
     parser.add_argument("--compare", action="store_true", help="the last run with the one before and the kept one")
     parser.add_argument("--keep", action="store_true", help="keep the last run, and write the page's table")
     options = parser.parse_args(argv)
     if unknown := sorted(set(options.subjects) - set(SUBJECTS)):
         parser.error(f"{unknown[0]} is none of {', '.join(SUBJECTS)}")
+    if options.compare + options.keep + bool(options.subjects) > 1:
+        parser.error("give subjects, --compare or --keep")
     if options.compare or options.keep:
         return compare() if options.compare else keep()
     return measure(options.subjects or list(SUBJECTS), options.rounds)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(ended(main))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import sys
+from pathlib import Path
 
 import atheris
 
@@ -13,6 +14,9 @@ PACKAGES = ["goldfield", "goldfield_protocol", "hil_sim", "can.io", "mcap"]
 
 def main() -> None:
     """Fuzz until libFuzzer's options end it."""
+    there = sorted(path.stem for path in Path(__file__).parent.glob("[a-z]*.py") if path.stem != "judging")
+    if len(sys.argv) < 2 or sys.argv[1] not in there:
+        sys.exit(f"fuzz: give a target first, one of {', '.join(there)}")
     target = sys.argv.pop(1)
     with atheris.instrument_imports(include=PACKAGES):
         harness = importlib.import_module(f"tests.fuzz.host.{target}")
