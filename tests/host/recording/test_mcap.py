@@ -2,18 +2,23 @@
 
 import os
 import re
+import struct
 import subprocess
 import sys
+import tracemalloc
 
 import can
 import foxglove
+import lz4.frame
 import numpy as np
 import pytest
+import zstandard
 from mcap.reader import SeekingReader
 
 from goldfield import load_site, open_log
 from goldfield.cli import main
 from goldfield.errors import UserError
+from goldfield.link import mcap_records
 from goldfield.link.recordings import CandumpReader
 from goldfield.recording import mcap_file as writing
 from goldfield.recording.about import About, options_of
@@ -240,3 +245,50 @@ def test_a_recording_that_got_nothing_is_empty(tmp_path):
     recording.write(can.Message(timestamp=1.0, arbitration_id=5, data=b"x"))
     recording.close()
     assert len(topics(tmp_path / "a.mcap")["/goldfield/can"]) == 1
+
+
+def record(opcode: int, content: bytes, length: int | None = None) -> bytes:
+    """Return a record whose length is that of its content, or a lie."""
+    return bytes([opcode]) + struct.pack("<Q", len(content) if length is None else length) + content
+
+
+def chunk(compression: str, size: int) -> bytes:
+    """Return a chunk of so many bytes, all of them zero, that says that it has a hundred."""
+    packers = {"": bytes, "zstd": zstandard.ZstdCompressor().compress, "lz4": lz4.frame.compress}
+    data, name = packers[compression](bytes(size)), compression.encode()
+    head = struct.pack("<QQQI", 0, 0, 100, 0) + struct.pack("<I", len(name)) + name
+    return record(6, head + struct.pack("<Q", len(data)) + data)
+
+
+LIES = {
+    "record": record(5, bytes(50), length=255 * 2**20),
+    "text": record(1, struct.pack("<I", 0xFFFFFFF0) + bytes(8)),
+    "zstd": chunk("zstd", 60 * 2**20),
+    "lz4": chunk("lz4", 60 * 2**20),
+}
+
+
+@pytest.mark.parametrize("lie", LIES)
+def test_a_length_that_lies_costs_no_memory(tmp_path, lie):
+    """These asked for 0.25 to 4 GB, and what was packed had each of its bytes looked at."""
+    path = tmp_path / "a.mcap"
+    path.write_bytes(writing.MAGIC + LIES[lie])
+    tracemalloc.start()
+    with pytest.raises(UserError, match=r"a\.mcap: is damaged or was cut off"):
+        list(CandumpReader(path))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 40 * 2**20
+
+
+@pytest.mark.parametrize("compression", ["", "zstd", "lz4"])
+def test_a_chunk_may_be_packed_well_and_no_better(tmp_path, monkeypatch, compression):
+    """The limit grows with what the file has; at it the chunk is read, which holds no message."""
+    content = chunk(compression, 90_000)
+    packed = len(content) - 9 - 32 - len(compression) - 8
+    for most, words in ((90_000, "holds no messages"), (89_999, "is damaged")):
+        monkeypatch.setattr(mcap_records, "MOST_EXPANSION", 1)
+        monkeypatch.setattr(mcap_records, "FREE_EXPANSION", most - packed)
+        (tmp_path / "a.mcap").write_bytes(writing.MAGIC + content + record(2, bytes(20)) + writing.MAGIC)
+        with pytest.raises(UserError, match=words):
+            list(CandumpReader(tmp_path / "a.mcap"))
