@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import ctypes
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -106,12 +107,12 @@ class Core:
         ctypes.c_int.in_dll(self._opened, "gf_mutant").value = number
 
 
-class Locator:
-    """`goldfield.locate`, in Python, as its tests import it."""
+class Package:
+    """A package of `goldfield`, in Python, as its tests import it."""
 
-    def __init__(self) -> None:
-        self.sources = sorted((ROOT / "host/goldfield/locate").glob("*.py"))
-        self.tests = ["tests/host/locate"]
+    def __init__(self, name: str) -> None:
+        self.sources = sorted((ROOT / "host/goldfield" / name).glob("*.py"))
+        self.tests = [f"tests/host/{name}"]
         self.not_tests: list[str] = []
         self.rewriter, self.warm = "py_sites.py", False
 
@@ -158,4 +159,7 @@ class Locator:
                         clear()
 
 
-PARTS = {"core": Core, "locator": Locator}
+ELSEWHERE = ("access", "field", "link", "site", "survey", "track")
+"""Packages that compute or read what others send, beside the locator."""
+PARTS: dict[str, Callable[[], Part]] = {"core": Core, "locator": partial(Package, "locate")}
+PARTS |= {name: partial(Package, name) for name in ELSEWHERE}
