@@ -52,3 +52,23 @@ def _object(command: list[str], version: bytes, source: Path) -> Path:
             subprocess.run([*command, "-c", str(source), "-o", str(made)], check=True)
             made.replace(kept)
     return kept
+
+
+def shared_library(source: Path) -> Path:
+    """Return the library of one C source of the tests and the C mathematics, compiled with warnings as errors.
+
+    Two tests may compile it at once: it is moved to its place, in ``build/tests``, when it is whole.
+
+    Raises
+    ------
+    subprocess.CalledProcessError
+        The source does not compile.
+    """
+    library = ROOT / "build" / "tests" / f"libgf_{source.stem}.so"
+    library.parent.mkdir(parents=True, exist_ok=True)
+    command = ["gcc", "-std=c11", "-Wall", "-Wextra", "-Werror", "-O2", "-shared", "-fPIC", f"-I{ROOT / 'firmware'}"]
+    with tempfile.TemporaryDirectory(dir=library.parent) as folder:
+        made = Path(folder) / "made.so"
+        subprocess.run([*command, f"-I{source.parent}", str(source), "-lm", "-o", str(made)], check=True)
+        made.replace(library)
+    return library

@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,6 @@ from tests.firmware.host_rig import (
     CHIPS,
     PIN_COIL_TEMPERATURE,
     PIN_CURRENT,
-    PIN_DRIVER_TEMPERATURE,
     PIN_ENABLE,
     PIN_SUPPLY,
     PIN_SYNC_OUT,
@@ -92,7 +92,12 @@ class CoilBoard(Board):
         for coil in self.coils:
             PLANT.coil_init(coil, FFI.new("coil_config_t *", config))
         self.seen: tuple[list[tuple[int, float]], list[tuple[int, float]]] = ([], [])
-        super().__init__(BEACON, {"node": 1, "sync_master": 1, **parameters}, volts=self._look)
+        inputs = {
+            PIN_SUPPLY: self._supply,
+            **{pin: partial(self._sense, channel) for channel, pin in enumerate(PIN_CURRENT)},
+            **{pin: partial(self._temperature, channel) for channel, pin in enumerate(PIN_COIL_TEMPERATURE)},
+        }
+        super().__init__(BEACON, {"node": 1, "sync_master": 1, **parameters}, volts=inputs)
 
     def _pin_out(self, context: Any, pin: int, level: bool, time: int) -> None:
         super()._pin_out(context, pin, level, time)
@@ -106,17 +111,16 @@ class CoilBoard(Board):
         super()._analog_out(context, channel, volts, time)
         PLANT.coil_reference(self.coils[channel - 1], volts, time)
 
-    def _look(self, pin: int, time: int) -> float:
-        if pin in PIN_CURRENT:
-            channel = PIN_CURRENT.index(pin)
-            coil = self.coils[channel]
-            self.seen[channel].append((time, PLANT.coil_current(coil, time)))
-            return float(PLANT.coil_sense(coil, channel, time))
-        if pin == PIN_SUPPLY:
-            return float(PLANT.coil_bus(self.coils[0], time)) * 3.3 / 160.0
-        if pin == PIN_DRIVER_TEMPERATURE:
-            return 1.65
-        return float(PLANT.thermistor_volts(PLANT.coil_temperature(self.coils[PIN_COIL_TEMPERATURE.index(pin)], time)))
+    def _sense(self, channel: int, time: int) -> float:
+        coil = self.coils[channel]
+        self.seen[channel].append((time, PLANT.coil_current(coil, time)))
+        return float(PLANT.coil_sense(coil, channel, time))
+
+    def _supply(self, time: int) -> float:
+        return float(PLANT.coil_bus(self.coils[0], time)) * 3.3 / 160.0
+
+    def _temperature(self, channel: int, time: int) -> float:
+        return float(PLANT.thermistor_volts(PLANT.coil_temperature(self.coils[channel], time)))
 
     def sag(self, time: int) -> None:
         """The supply falls to its share."""

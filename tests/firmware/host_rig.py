@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from goldfield_protocol import FrameDecoder, Message, decode, encode, encode_fra
 from goldfield_protocol.parameters import PAGE_BYTES, build_page
 from hil_sim.clib import ROOT, load
 from hil_sim.emulator.emulator import Configuration, Emulator
+from tests.firmware.analog_pins import FOREVER, MID_SCALE_V, AnalogPins, Pins
 from tests.firmware.gold_pairs import PAIRS
 
 FFI, LIBRARY = load("libgf_hostboard.so", ["boards/host/host_board.h"])
@@ -30,6 +32,7 @@ PIN_BRIDGE_1, PIN_BRIDGE_2, PIN_SYNC_OUT, PIN_ENABLE, PIN_LED = 29, 30, 7, 31, 2
 PIN_FAULT, PIN_FAULT_TOO = 28, 6
 """The two ends of one wire."""
 SERIAL_PORT = 3
+SAMPLE = "double(*)(void *, unsigned, int64_t)"
 PULL_UP = 1
 
 US = 10**6
@@ -74,8 +77,8 @@ class Board:
         `BEACON`, `SENSOR` or `ANCHOR`.
     parameters : mapping or bytes
         Contents of the parameter page, or the page itself.
-    volts : callable
-        ``volts(pin, time_ps)``: what the converter sees.
+    volts : mapping or callable
+        What the converter sees at each pin (`AnalogPins`), or ``volts(pin, time_ps)``, which takes longer.
     clock : int
         `hal_clock_t`: 0 crystal, 1 internal oscillator, 2 slow; host boards only.
     emulated : bool
@@ -93,7 +96,7 @@ class Board:
     role: int
     parameters: Mapping[str, Any] | bytes = field(default_factory=dict)
     ppm: float = 0.0
-    volts: Callable[[int, int], float] | None = None
+    volts: Callable[[int, int], float] | Pins = field(default_factory=dict)
     power_on: int = 0
     unique_id: bytes = bytes(range(12))
     temperature: float = 25.0
@@ -143,6 +146,7 @@ class Board:
         assert self.handle != FFI.NULL
 
     def _edge(self) -> Any:
+        self._inputs: AnalogPins | None = None
         edge = FFI.new("board_edge_t *")
         self._keep = [
             FFI.callback("void(void *, unsigned, bool, int64_t)", self._pin_out),
@@ -154,11 +158,15 @@ class Board:
         edge.pin_out, edge.pin_release, edge.analog_out, edge.uart_out = self._keep[:4]
         if self.can:
             edge.can_request = self._keep[4]
-        if self.volts is not None:
+        if callable(self.volts):
             volts = self.volts
             sample = FFI.callback("double(void *, unsigned, int64_t)", lambda _, pin, time: volts(pin, time))
             self._keep.append(sample)
             edge.analog_in = sample
+        else:
+            self._inputs = AnalogPins(self.volts)
+            edge.context = FFI.cast("void *", self._inputs.context)
+            edge.analog_in = FFI.cast(SAMPLE, self._inputs.sample)
         return edge
 
     def fail(self, what: str, active: bool = True) -> None:
@@ -182,6 +190,7 @@ class Board:
     def _pin_out(self, _: Any, pin: int, level: bool, time: int) -> None:
         self.pins.append((time, pin, level))
         self.level[pin] = level
+        self._forget()
 
     def _pin_release(self, _: Any, pin: int, pull: int, time: int) -> None:
         """Pins that float are low: enable and sync output by the pull-downs of the pinout, the rest by decree."""
@@ -191,6 +200,12 @@ class Board:
 
     def _analog_out(self, _: Any, channel: int, volts: float, time: int) -> None:
         self.analog[channel - 1].append((time, volts))
+        self._forget()
+
+    def _forget(self) -> None:
+        """Ask the sources of analog inputs anew: they depend on outputs, and on what a test does between runs."""
+        if self._inputs is not None:
+            self._inputs.forget()
 
     def _uart_out(self, _: Any, port: int, byte: int, time: int) -> None:
         assert port == SERIAL_PORT
@@ -228,6 +243,7 @@ class Board:
     # What goes in.
 
     def run(self, until: int) -> None:
+        self._forget()
         ok = self.operations.run(self.handle, until) == 0
         assert ok, FFI.string(self.operations.report(self.handle)).decode()
 
@@ -303,12 +319,17 @@ class Rig:
         return iter(self.boards)
 
 
+def each_axis(volts: Callable[[int, int], float | tuple[float, int]]) -> Pins:
+    """Inputs of a sensor's axes of which ``volts(axis, time)`` tells."""
+    return {pin: partial(volts, axis) for axis, pin in enumerate(PIN_FIELD)}
+
+
 @dataclass
 class Coil:
     """A coil that follows its bridge at once: the driver makes the reference's amperes with a gain, if enabled.
 
     ``extra_A``, ``stray_A`` and ``broken_from`` make it misbehave from a time on; the stray current flows whatever the
-    bridge does.
+    bridge does. Who lets `amperes` depend on anything else says that it is not ``steady``.
     """
 
     gain: float = 1.0
@@ -319,6 +340,14 @@ class Coil:
     stray_from: int = 1 << 62
     channel: int = 0
     board: Board | None = None
+    steady: bool = True
+
+    def sensed(self, time: int) -> float | tuple[float, int]:
+        """Volts of the current's sense, and until when they stay if the board leaves its outputs as they are."""
+        volts = MID_SCALE_V + 0.103125 * self.amperes(time)
+        if not self.steady:
+            return volts
+        return volts, min(at for at in (self.extra_from, self.broken_from, self.stray_from, FOREVER) if at > time)
 
     def amperes(self, time: int) -> float:
         board = self.board
@@ -338,18 +367,8 @@ def beacon(
 ) -> Board:
     """A beacon board with its coil, or its two; other analog inputs give ``pins[pin](time)`` or lie at mid-scale."""
     coils = [coil] if second is None else [coil, second]
-    # Most samples are of inputs that lie at mid-scale: they are answered first.
-    sources: dict[int, Callable[[int], float]] = {
-        pin: lambda time, each=each: 1.65 + 0.103125 * each.amperes(time)
-        for pin, each in zip(PIN_CURRENT, coils, strict=False)
-    }
-    sources.update(pins or {})
-
-    def volts(pin: int, time: int) -> float:
-        source = sources.get(pin)
-        return 1.65 if source is None else source(time)
-
-    board = Board(BEACON, volts=volts, **options)
+    senses = {pin: each.sensed for pin, each in zip(PIN_CURRENT, coils, strict=False)}
+    board = Board(BEACON, volts={**senses, **(pins or {})}, **options)
     for channel, each in enumerate(coils):
         each.board, each.channel = board, channel
     return board

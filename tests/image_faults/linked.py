@@ -17,7 +17,7 @@ from goldfield_protocol.parameters import PARAMETERS
 from hil_sim.emulator.emulator import Emulator
 from tests.firmware.host_rig import BEACON, MS, US, Board
 from tests.firmware.services.access_host import KEY, START, words
-from tests.firmware.services.saved_flash import DONE, DONE_RESTARTS, NAMED, answers, ask_to_save, at_rest, put, save
+from tests.firmware.services.saved_flash import DONE, DONE_RESTARTS, NAMED, answers, ask_to_save, put, save
 from tests.image_faults.image import place_of
 from tests.image_faults.workload import BEACON_IMAGE, NOTHING, SAID, WRONG, Seen, Verdict, told
 
@@ -113,7 +113,6 @@ def quiet(page: dict[str, Any] | None = None, cells: bytes | None = None) -> Boa
     return Board(
         BEACON,
         {"node": NODE, **(page or {})},
-        volts=at_rest,
         emulated=True,
         strict=False,
         stop_at_fault=False,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -10,11 +11,11 @@ import pytest
 from tests.firmware.host_rig import (
     CHIPS,
     MS,
-    PIN_FIELD,
     SENSOR,
     US,
     Board,
     chip_seconds,
+    each_axis,
     gold_chips,
 )
 
@@ -35,9 +36,14 @@ def cycle_start(cycle: int) -> int:
     return FIRST_EDGE + round(cycle * CHIPS * chip_seconds(MASTER_PPM) * 1e12)
 
 
+def chip_begin(chip: int) -> int:
+    """First picosecond of one of the master's chips, or one a little before: `master_chip` decides."""
+    return FIRST_EDGE + int(chip * chip_seconds(MASTER_PPM) * 1e12) - 10
+
+
 def master_chip(time: int) -> tuple[int, int]:
     """The master's cycle and chip at a time."""
-    chip = int((time - FIRST_EDGE) * 1e-12 / chip_seconds(MASTER_PPM))
+    chip = math.floor((time - FIRST_EDGE) * 1e-12 / chip_seconds(MASTER_PPM))
     return chip // CHIPS, chip % CHIPS
 
 
@@ -66,17 +72,16 @@ class World:
             "calibration": [float(x) for x in MATRIX.ravel()],
         }
         self.board = Board(
-            SENSOR, {**stored, **parameters}, ppm=ppm, volts=self.volts, temperature=31.04, emulated=emulated
+            SENSOR, {**stored, **parameters}, ppm=ppm, volts=each_axis(self.volts), temperature=31.04, emulated=emulated
         )
         for cycle in range(20):
             self.board.sync_pulse(cycle_start(cycle))
             self.board.send_serial("SYNC", sync(1000 + cycle), 1, 0, cycle_start(cycle) + 2 * MS)
 
-    def volts(self, pin: int, time: int) -> float:
-        if pin not in PIN_FIELD:  # Converted beside the temperature, for nobody.
-            return 1.65
-        count = 2048 + self.counts(*master_chip(time))[PIN_FIELD.index(pin)]
-        return float(count * 3.3 / 4096)
+    def volts(self, axis: int, time: int) -> tuple[float, int]:
+        """Volts of an axis, and when the master's next chip begins."""
+        cycle, chip = master_chip(time)
+        return float((2048 + self.counts(cycle, chip)[axis]) * 3.3 / 4096), chip_begin(cycle * CHIPS + chip + 1)
 
     def run_cycles(self, cycles: int) -> None:
         """Run until the report of the last of these cycles has left."""
@@ -254,7 +259,7 @@ def test_code_list_set_at_run_time(make: Callable[..., World]) -> None:
 
 
 def test_number_is_counted_from_zero_without_sync_messages() -> None:
-    board = Board(SENSOR, {"node": NODE}, volts=lambda pin, time: 1.65)
+    board = Board(SENSOR, {"node": NODE})
     board.run(350 * MS)
     epochs = board.messages("EPOCH")
     board.close()

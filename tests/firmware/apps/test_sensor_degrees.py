@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import pairwise
@@ -11,7 +12,6 @@ import pytest
 
 from tests.firmware.host_rig import (
     MS,
-    PIN_FIELD,
     SECOND,
     SENSOR,
     US,
@@ -20,6 +20,7 @@ from tests.firmware.host_rig import (
     Rig,
     beacon,
     chip_seconds,
+    each_axis,
     gold_chips,
 )
 
@@ -47,7 +48,7 @@ class World:
         codes = codes_of(degree)
         self.field = OFFSET + np.array([gold_chips(code, degree) for code in codes]).T @ AMPLITUDES
         stored = {"node": 100, "degree": degree, "code_count": len(codes), "code_list": codes}
-        self.board = Board(SENSOR, {**stored, **parameters}, ppm=17.0, volts=self.volts)
+        self.board = Board(SENSOR, {**stored, **parameters}, ppm=17.0, volts=each_axis(self.volts))
         period = self.chips * cycles * chip_seconds(PPM)
         for number in range(int(seconds / period)):
             edge = FIRST_EDGE + round(number * period * 1e12)
@@ -61,9 +62,12 @@ class World:
             told["cycle"] %= 2**20
             self.board.send_serial("SYNC", told, 1, 0, edge + 2 * MS)
 
-    def volts(self, pin: int, time: int) -> float:
-        chip = int((time - FIRST_EDGE) * 1e-12 / chip_seconds(PPM)) % self.chips
-        return float((2048 + self.field[chip, PIN_FIELD.index(pin)]) * 3.3 / 4096)
+    def volts(self, axis: int, time: int) -> tuple[float, int]:
+        """Volts of an axis, and a time a little before the next chip."""
+        length_ps = chip_seconds(PPM) * 1e12
+        chip = math.floor((time - FIRST_EDGE) / length_ps)
+        volts = float((2048 + self.field[chip % self.chips, axis]) * 3.3 / 4096)
+        return volts, FIRST_EDGE + int((chip + 1) * length_ps) - 10
 
 
 @contextmanager

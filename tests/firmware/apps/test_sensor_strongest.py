@@ -97,7 +97,7 @@ def test_set_and_given_up_at_run_time(make: Callable[..., World]) -> None:
 
 
 def test_nothing_is_chosen_before_the_clock_is_locked() -> None:
-    board = Board(SENSOR, {"node": NODE, "strongest": 8}, volts=lambda pin, time: 1.65)
+    board = Board(SENSOR, {"node": NODE, "strongest": 8})
     board.run(350 * MS)
     states = [(m.signals["locked"], m.signals["fields"]) for m in board.messages("EPOCH_STATUS")]
     board.close()

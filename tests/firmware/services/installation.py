@@ -83,7 +83,7 @@ class Installation:
             common = {"node": node, "sync_source": place.source, **self.extra}
             if node >= 100:
                 parameters = {**common, "code_count": 0}
-                place.board = Board(SENSOR, parameters, volts=lambda pin, time: 1.65, **options)
+                place.board = Board(SENSOR, parameters, **options)
             else:
                 parameters = {"code": node + 1, "amplitude": 5.0, **common, "sync_master": place.rank}
                 place.board = beacon(Coil(), parameters=parameters, **options)

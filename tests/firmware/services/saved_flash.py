@@ -52,7 +52,7 @@ class SavedFlash:
         """Return a board with this flash that gets its power now."""
         self.cells.start()
         self.lost = False
-        made = Board(role, {"node": 9} if parameters is None else parameters, **({"volts": at_rest} | options))
+        made = Board(role, {"node": 9} if parameters is None else parameters, **options)
         self.attach(made)
         return made
 
@@ -82,11 +82,6 @@ class SavedFlash:
             self.cells.erase(slot)
         else:
             self.cells.program(slot, index, value)
-
-
-def at_rest(_pin: int, _time: int) -> float:
-    """Nothing flows, and every thermistor is at 25 degC."""
-    return 1.65
 
 
 def bits(name: str, value: float) -> int:
@@ -201,7 +196,7 @@ class Saving:
 
 
 def _defaults() -> tuple[float, ...]:
-    board = Board(BEACON, {"node": 9}, volts=at_rest)
+    board = Board(BEACON, {"node": 9})
     found = in_force(board, NAMES, 5 * MS)
     board.close()
     return found
@@ -214,7 +209,7 @@ def boot(flash: SavedFlash, cut: int | None = None) -> tuple[float, ...] | None:
     """Start a board, whose power may go at a step of its start, and return its parameters; None: the power went."""
     flash.steps.clear()
     flash.cut = cut
-    board = flash.board(volts=None)
+    board = flash.board()
     found = None
     board.run(2 * MS)
     if not flash.lost:
@@ -256,7 +251,7 @@ def run_case(saving: Saving, torn: Torn, step: int, seed: int) -> None:
         cut += 1
         assert cut < 20, again
     assert found == first, again
-    board = flash.board(volts=None)
+    board = flash.board()
     assert save(board, 20 * MS, **dict(zip(NAMES, SETS[-1], strict=True))) in (DONE, DONE_RESTARTS), again
     board.close()
     assert boot(flash) == SETS[-1], again

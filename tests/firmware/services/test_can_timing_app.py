@@ -50,7 +50,7 @@ def follower() -> Iterator[Callable[..., Bus]]:
 
     def make(emulated: bool = False) -> Bus:
         parameters = {"node": 100, "sync_source": 2, "code_count": 0}
-        boards.append(Board(SENSOR, parameters, ppm=17.0, volts=lambda pin, time: 1.65, emulated=emulated))
+        boards.append(Board(SENSOR, parameters, ppm=17.0, emulated=emulated))
         for cycle in range(25):
             boards[-1].sync_pulse(cycle_start(cycle))
         return Bus(boards[-1])
@@ -153,7 +153,6 @@ def test_the_master_tells_when_sync_was_through(emulated: bool, middle: bool) ->
         BEACON,
         {"node": MASTER, "sync_master": 1},
         ppm=MASTER_PPM,
-        volts=lambda pin, time: 1.65,
         emulated=emulated,
     )
     random = np.random.default_rng(6)

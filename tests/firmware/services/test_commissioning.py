@@ -156,7 +156,7 @@ def test_whom_a_start_and_a_stop_mean(
 
 
 def test_a_sensor_is_not_started(boards: list[Board]) -> None:
-    board = Board(SENSOR, {"node": 9, "amplitude": 5.0}, volts=lambda pin, time: 1.65)
+    board = Board(SENSOR, {"node": 9, "amplitude": 5.0})
     boards.append(board)
     board.run(100 * MS)
     command(board, START, 100 * MS, named=0, argument=ALL, node=0)
@@ -268,7 +268,7 @@ def test_an_open_coil_trips_in_the_midst_of_a_signature(boards: list[Board]) -> 
 def test_a_board_that_is_named_takes_another_number(
     boards: list[Board], argument: int, named: int, node: int, said: list[Any], number: int
 ) -> None:
-    board = Board(ANCHOR, {"node": 9}, volts=lambda pin, time: 1.65)
+    board = Board(ANCHOR, {"node": 9})
     boards.append(board)
     board.run(100 * MS)
     command(board, NUMBER, 100 * MS, argument=argument, named=named, node=node)

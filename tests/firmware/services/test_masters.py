@@ -221,7 +221,7 @@ def test_two_parts_that_were_split_and_are_joined(source: int, ran_apart: bool) 
 
 @pytest.fixture
 def lone() -> Iterator[Board]:
-    board = Board(BEACON, {"node": 4, "sync_master": 2, "sync_source": WIRE}, volts=lambda pin, time: 1.65)
+    board = Board(BEACON, {"node": 4, "sync_master": 2, "sync_source": WIRE})
     yield board
     board.close()
 
@@ -276,7 +276,7 @@ def test_a_flood_of_sync_does_not_make_a_leader_step_back(lone: Board) -> None:
 @pytest.mark.parametrize(("node", "keeps"), [(5, True), (3, False)])
 @pytest.mark.parametrize("count", [2, 3])
 def test_one_stray_sync_makes_no_master_step_back(node: int, keeps: bool, count: int) -> None:
-    board = Board(BEACON, {"node": 4, "sync_master": 1}, volts=lambda pin, time: 1.65)
+    board = Board(BEACON, {"node": 4, "sync_master": 1})
     signals = {"chips": CHIPS, "chip_period": 97750.0, "rank": 1}
     for number in range(count):
         told = encode("SYNC", {"cycle": 70 + number, **signals}, node=node)
@@ -293,7 +293,7 @@ def test_one_stray_sync_makes_no_master_step_back(node: int, keeps: bool, count:
 
 @pytest.mark.parametrize("clock", [0, 1])
 def test_a_board_without_its_crystal_never_leads(clock: int) -> None:
-    board = Board(BEACON, {"node": 4, "sync_master": 1}, volts=lambda pin, time: 1.65, clock=clock)
+    board = Board(BEACON, {"node": 4, "sync_master": 1}, clock=clock)
     board.run(2 * SECOND)
     assert bool(board.edges(PIN_SYNC_OUT)) == (clock == 0)
     board.close()
@@ -304,7 +304,7 @@ def test_a_board_without_its_crystal_never_leads(clock: int) -> None:
 )
 def test_a_lone_board_leads_after_its_wait(rank: int, degree: int, least_ms: int) -> None:
     parameters = {"node": 4, "sync_master": rank, "degree": degree}
-    board = Board(BEACON, parameters, volts=lambda pin, time: 1.65)
+    board = Board(BEACON, parameters)
     board.run(1500 * MS)
     first, *_ = board.edges(PIN_SYNC_OUT)
     assert 0 <= first - least_ms * MS < 15 * MS
@@ -315,8 +315,8 @@ def test_a_lone_board_leads_after_its_wait(rank: int, degree: int, least_ms: int
 @pytest.mark.parametrize("sound", [True, False])
 def test_a_master_of_another_degree_disturbs_only_a_wire_without_a_sound_master(sound: bool) -> None:
     """Its messages come between those of the wire's master, or alone."""
-    head = Board(BEACON, {"node": 1, "sync_master": 1}, volts=lambda pin, time: 1.65, can=sound)
-    sensor = Board(SENSOR, {"node": 100, "code_count": 0}, volts=lambda pin, time: 1.65)
+    head = Board(BEACON, {"node": 1, "sync_master": 1}, can=sound)
+    sensor = Board(SENSOR, {"node": 100, "code_count": 0})
     for number in range(40):
         signals = {"cycle": number, "chips": 2047, "chip_period": 97750.0, "rank": 1}
         sensor.can_in(*encode("SYNC", signals, node=7), 1037 * MS + number * 90 * MS)

@@ -31,7 +31,7 @@ INTERNAL, SLOW = 1, 2
 
 @pytest.fixture(params=[BEACON, SENSOR, ANCHOR])
 def board(request: pytest.FixtureRequest) -> Iterator[Board]:
-    made = Board(request.param, {"node": 9}, volts=lambda pin, time: 1.65)
+    made = Board(request.param, {"node": 9})
     yield made
     made.close()
 
@@ -178,7 +178,7 @@ def test_bytes_at_another_rate_are_lost_and_counted(board: Board) -> None:
 
 def test_bad_page_is_ignored_and_counted() -> None:
     page = bytearray(b"GFP1\x01\x00\x00\x00" + b"\0" * 8)
-    board = Board(BEACON, bytes(page), volts=lambda pin, time: 1.65)
+    board = Board(BEACON, bytes(page))
     board.run(1100 * MS)
     assert counters(board) == {9: 1}
     board.close()
@@ -190,7 +190,7 @@ def test_full_can_queue_counts_what_it_loses() -> None:
     Reports come whole or not at all: what the queue refused is 67 messages for each cycle of counter 13.
     """
     parameters = {"node": 9, "code_count": 64, "code_list": list(range(64))}
-    board = Board(SENSOR, parameters, volts=lambda pin, time: 1.65)
+    board = Board(SENSOR, parameters)
     board.send_serial("PARAM_SET", set_value(0), 9, 5, 2 * SECOND)
     done = 0
     for step in range(1, 3100):
@@ -214,7 +214,7 @@ def test_full_can_queue_counts_what_it_loses() -> None:
 def test_what_a_full_bus_does_not_take_is_counted_and_what_a_dead_one_does_not_is_not(heard: bool, rate: int) -> None:
     """The bus takes nothing of a sensor; it is full of others' frames, or nobody is there."""
     parameters = {"node": 9, "code_count": 4, "code_list": [2, 3, 4, 5], "can_rate": rate}
-    board = Board(SENSOR, parameters, volts=lambda pin, time: 1.65)
+    board = Board(SENSOR, parameters)
     board.operations.can_rate(board.handle, CAN_RATES[rate])
     identifier, data = encode("FIELD", {"x": 0, "y": 0, "z": 0, "cycle_low": 1}, node=8, index=2)
     for step in range(1, 2100, 10):
@@ -233,7 +233,7 @@ def test_what_a_full_bus_does_not_take_is_counted_and_what_a_dead_one_does_not_i
 @pytest.mark.parametrize("clock", [INTERNAL, SLOW])
 def test_clock_fallback_is_told_and_drives_nothing(role: int, clock: int) -> None:
     parameters = {"node": 9, "amplitude": 5.0, "sync_master": 1}
-    board = Board(role, parameters, ppm=9000.0, volts=lambda pin, time: 1.65, clock=clock)
+    board = Board(role, parameters, ppm=9000.0, clock=clock)
     board.send_serial("PARAM_GET", {"reserved": 0}, 9, 0, MS)
     board.run(1100 * MS)
     assert board.messages("HEARTBEAT")[-1].signals["state"] == 5
@@ -251,7 +251,7 @@ def in_order(part: list[Message], whole: list[Message]) -> bool:
 
 
 def test_frames_leave_one_mailbox_after_the_other_and_are_repeated_on_error() -> None:
-    board = Board(BEACON, {"node": 9}, volts=lambda pin, time: 1.65)
+    board = Board(BEACON, {"node": 9})
     board.run(10 * MS)
     [(_, mailbox, identifier, data)] = board.requests
     board.can_sent(mailbox, False, 11 * MS)
@@ -342,7 +342,7 @@ def test_a_reset_must_name_its_board(board: Board, named: int, node: int, answer
     ],
 )
 def test_a_reset_comes_when_the_slower_link_has_told_the_answer(rates: dict[str, int], ms: int) -> None:
-    board = Board(SENSOR, {"node": 9, "pose": 0, **rates}, volts=lambda pin, time: 1.65)
+    board = Board(SENSOR, {"node": 9, "pose": 0, **rates})
     can_bit_s, baud = CAN_RATES[rates.get("can_rate", 0)], SERIAL_RATES[rates.get("serial_rate", 0)]
     board.operations.can_rate(board.handle, can_bit_s)
     board.run(105 * MS)

@@ -434,7 +434,7 @@ def test_a_reset_by_command_keeps_the_cause(make: Callable[..., Board]) -> None:
 def test_noise_at_the_sense_trips_nothing(make: Callable[..., Board]) -> None:
     """Four times the noise that scenarios have, for 20 s."""
     rng = np.random.default_rng(3)
-    coil = Coil(gain=1.04)
+    coil = Coil(gain=1.04, steady=False)
     plain = coil.amperes
     coil.amperes = lambda time: plain(time) + float(rng.normal(0.0, 0.02))  # type: ignore[method-assign]
     board = make(coil)

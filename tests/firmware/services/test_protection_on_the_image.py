@@ -37,6 +37,7 @@ class Told(Coil):
 
     def __post_init__(self) -> None:
         self.seen: list[tuple[int, float]] = []
+        self.steady = False
 
     def amperes(self, time: int) -> float:
         """Return the current, A."""

@@ -132,7 +132,7 @@ def test_a_sensor_without_wire_and_can_looks_for_the_field_if_it_knows_codes(
 ) -> None:
     """With strongest and an empty list it has heard none yet, and other degrees than 10 are not for this."""
     codes = {"code_count": 0} if "strongest" in setting else {"code_count": 2, "code_list": [2, 3]}
-    board = Board(SENSOR, {"node": 100, "sync_source": AUTOMATIC, **codes, **setting}, volts=lambda pin, time: 1.65)
+    board = Board(SENSOR, {"node": 100, "sync_source": AUTOMATIC, **codes, **setting})
     board.run(780 * MS)
     told = [m.signals["value"] for m in board.messages("COUNTER") if m.index == SYNC_CHANGES]
     board.run(2200 * MS)

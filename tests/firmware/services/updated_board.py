@@ -7,7 +7,7 @@ from typing import Any
 
 from tests.firmware.core.boot.slots import ADDRESSES, BOARD, CODE, Image, Node, PowerLost
 from tests.firmware.host_rig import FFI, LIBRARY, MS, PIN_ENABLE, SENSOR, Board
-from tests.firmware.services.saved_flash import NAMED, at_rest
+from tests.firmware.services.saved_flash import NAMED
 
 BEGIN, BEGIN_FORCED, PAGE, MISSING, END, TELL = range(10, 16)
 OK, REFUSED, FLASH_FAILED, OK_RESTARTS = 0, 2, 4, 5
@@ -33,7 +33,7 @@ class UpdatedBoard:
 
     def __init__(self, node: Node, running: int, board: Board | None = None) -> None:
         self.node, self.running, self.lost = node, running, False
-        self.board = Board(SENSOR, {"node": 9}, volts=at_rest) if board is None else board
+        self.board = Board(SENSOR, {"node": 9}) if board is None else board
         self.now = 20 * MS
         self.enabled: list[bool] = []
         """Whether the bridges were on at each step of the flash."""

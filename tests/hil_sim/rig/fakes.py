@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
 import textwrap
 from functools import cache
 from pathlib import Path
@@ -14,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil_sim import scenario
-from hil_sim.clib import ROOT
 from hil_sim.rig.boards import Board, BoardSpec, address
+from tests.objects import shared_library
 
 HERE = Path(__file__).parent
 
@@ -23,13 +21,6 @@ HERE = Path(__file__).parent
 @cache
 def library() -> tuple[cffi.FFI, Any]:
     """Compile the fake board once and open it."""
-    output = ROOT / "build" / "tests" / "libgf_fakeboard.so"
-    output.parent.mkdir(parents=True, exist_ok=True)
-    partial = output.with_suffix(f".{os.getpid()}")
-    command = ["gcc", "-std=c11", "-Wall", "-Wextra", "-Werror", "-O2", "-shared", "-fPIC"]
-    includes = [f"-I{ROOT / 'firmware'}", f"-I{HERE}"]
-    subprocess.run([*command, *includes, str(HERE / "fake_board.c"), "-lm", "-o", str(partial)], check=True)
-    partial.replace(output)  # two test processes may build it at the same time
     ffi = cffi.FFI()
     ffi.cdef(
         """
@@ -42,7 +33,7 @@ def library() -> tuple[cffi.FFI, Any]:
         extern const char fake_operations[];
         """
     )
-    return ffi, ffi.dlopen(str(output))
+    return ffi, ffi.dlopen(str(shared_library(HERE / "fake_board.c")))
 
 
 class FakeBoards:

@@ -112,7 +112,7 @@ def table_of(role: str) -> tuple[Description, ...]:
 
 
 def board_of(role: str, emulated: bool) -> Board:
-    return Board(ROLES[role], {"node": NODE}, volts=lambda pin, time: 1.65, emulated=emulated)
+    return Board(ROLES[role], {"node": NODE}, emulated=emulated)
 
 
 def told_by(link: BoardLink, node: int = NODE) -> tuple[Description, ...]:

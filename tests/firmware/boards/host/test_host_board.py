@@ -95,7 +95,7 @@ def test_edges_lie_on_ticks_of_the_local_clock() -> None:
 
 
 def test_serial_bytes_are_five_microseconds_apart() -> None:
-    board = Board(SENSOR, {"node": 1}, volts=lambda pin, time: 1.65)
+    board = Board(SENSOR, {"node": 1})
     board.run(200 * MS)
     times = np.array([t for t, _ in board.serial])
     board.close()
@@ -105,7 +105,7 @@ def test_serial_bytes_are_five_microseconds_apart() -> None:
 
 
 def test_power_on_later() -> None:
-    board = Board(BEACON, MASTER, volts=lambda pin, time: 1.65, power_on=30 * MS)
+    board = Board(BEACON, MASTER, power_on=30 * MS)
     board.receive(b"nobody hears this", MS)
     board.run(30 * MS)
     assert not board.pins

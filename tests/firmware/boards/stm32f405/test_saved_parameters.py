@@ -17,7 +17,6 @@ from tests.firmware.services.saved_flash import (
     UNIQUE,
     answers,
     ask_to_save,
-    at_rest,
     counted,
     in_force,
     put,
@@ -32,7 +31,7 @@ NAMES = ("code", "over_current", "survey__191")
 
 
 def emulated(role: int = BEACON, cells: bytes | None = None) -> Board:
-    return Board(role, {"node": 9}, volts=at_rest, emulated=True, cells=cells)
+    return Board(role, {"node": 9}, emulated=True, cells=cells)
 
 
 def values(of: tuple[float, ...]) -> dict[str, float]:

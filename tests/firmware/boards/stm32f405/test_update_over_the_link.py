@@ -13,7 +13,7 @@ from hil_sim.emulator.emulator import PARAMETER_PAGE
 from hil_sim.emulator.kept_flash import FLASH
 from tests.firmware.boards.stm32f405.boot_flash import boot_loader, flash, image, probed, state_of
 from tests.firmware.host_rig import MS, SECOND, SENSOR, Board
-from tests.firmware.services.saved_flash import NAMED, at_rest
+from tests.firmware.services.saved_flash import NAMED
 from tests.firmware.services.updated_board import BEGIN, END, FIRST_BLOCK, MISSING, OK, OK_RESTARTS, PAGE, TELL
 
 PAGE_BLOCKS = 1024
@@ -27,7 +27,7 @@ class Life:
     """One life of the chip, with its host on the serial port."""
 
     def __init__(self, cells: bytes) -> None:
-        self.board = Board(SENSOR, {"node": 9}, volts=at_rest, emulated=True, cells=cells)
+        self.board = Board(SENSOR, {"node": 9}, emulated=True, cells=cells)
         self._decoder, self._taken, self._told = FrameDecoder(), 0, list[Message]()
         self.now = 300 * MS
         self.board.run(self.now)
