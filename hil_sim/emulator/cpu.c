@@ -9,6 +9,7 @@
 #include "emulator/exceptions.h"
 #include "emulator/execution.h"
 #include "emulator/flash_wait.h"
+#include "emulator/it_block.h"
 #include "emulator/memory_hooks.h"
 #include "emulator/system_control.h"
 #include "emulator/systick.h"
@@ -40,13 +41,13 @@ static void reset(cpu_t *cpu) {
 
     uint32_t vectors[2];
     memcpy(vectors, machine->flash, sizeof vectors);
-    cpu_set_register(cpu, UC_ARM_REG_XPSR_NZCVQG, 1u << 24 | EXCEPTION_NMI); /* A handler may write every register. */
+    cpu_set_register(cpu, UC_ARM_REG_XPSR_NZCVQG, XPSR_THUMB | EXCEPTION_NMI); /* A handler may write every register. */
     static const int zeroed[] = {UC_ARM_REG_CONTROL, UC_ARM_REG_PSP,       UC_ARM_REG_PRIMASK,
                                  UC_ARM_REG_BASEPRI, UC_ARM_REG_FAULTMASK, UC_ARM_REG_FPSCR};
     for (unsigned i = 0; i < sizeof zeroed / sizeof zeroed[0]; i++) {
         cpu_set_register(cpu, zeroed[i], 0);
     }
-    cpu_set_register(cpu, UC_ARM_REG_XPSR_NZCVQG, 1u << 24);
+    cpu_set_register(cpu, UC_ARM_REG_XPSR_NZCVQG, XPSR_THUMB);
     cpu_set_register(cpu, UC_ARM_REG_CONTROL, 0);
     cpu_set_register(cpu, UC_ARM_REG_APSR_NZCV, 0);
     cpu_set_register(cpu, UC_ARM_REG_SP, vectors[0] & ~3u);

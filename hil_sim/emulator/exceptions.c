@@ -15,7 +15,6 @@
 #define CONTROL_UNPRIVILEGED   1u
 #define CONTROL_PROCESS_STACK  2u
 #define CONTROL_FLOATING_POINT 4u
-#define XPSR_THUMB             (1u << 24)
 #define XPSR_ALIGNED           (1u << 9)
 #define XPSR_EXCEPTION         0x1FFu
 #define CCR_STACK_ALIGN        0x200u

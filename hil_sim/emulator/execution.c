@@ -297,7 +297,7 @@ static void left_unicorn(cpu_t *cpu, uc_err error) {
 void execution_run(cpu_t *cpu) {
     memory_hooks_before_run(cpu);
     if (cpu->it_state != 0) {
-        cpu_set_register(cpu, UC_ARM_REG_EPSR, it_block_to_xpsr(cpu->it_state) | 1u << 24);
+        cpu_set_register(cpu, UC_ARM_REG_EPSR, it_block_to_xpsr(cpu->it_state) | XPSR_THUMB);
     }
     cpu->resume_pc = cpu->pc;
     cpu->resume_it_state = cpu->it_state;

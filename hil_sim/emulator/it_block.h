@@ -34,6 +34,8 @@ static inline uint8_t it_block_from_xpsr(uint32_t xpsr) {
     return (uint8_t)((xpsr >> 10 & 0x3Fu) << 2 | (xpsr >> 25 & 3u));
 }
 
+/* Where these are, and the bit beside them that a processor without ARM code always has. */
 #define IT_BLOCK_XPSR 0x0600FC00u
+#define XPSR_THUMB    (1u << 24)
 
 #endif

@@ -2,9 +2,19 @@
 
 #include "emulator/core_bus.h"
 #include "emulator/flash_wait.h"
+#include "emulator/it_block.h"
 #include "emulator/protection.h"
 
 #define PAGES_ASKED_MAX 20000u /* Questions after which Unicorn's table of pages is taken for too narrow. */
+
+/* Before Unicorn asks about an access it puts the ITSTATE of its instruction back, goes on with the translated block,
+ * which needs none, and begins the next block in that state: where the IT block is over long since, instructions would
+ * be skipped. So it is taken away again. That of a fetch stays: it is between two blocks, and the next one's own. */
+static void forget_it_state(cpu_t *cpu, uc_mem_type type) {
+    if (type != UC_MEM_FETCH && type != UC_MEM_FETCH_UNMAPPED && type != UC_MEM_FETCH_PROT) {
+        cpu_set_register(cpu, UC_ARM_REG_EPSR, XPSR_THUMB);
+    }
+}
 
 /* ---- Pages ---- */
 
@@ -19,6 +29,7 @@ static bool on_page(uc_engine *uc, uint64_t address, uc_mem_type type, uc_tlb_en
     cpu_t *const cpu = user;
     const bool data_only = (address - SRAM_BASE < SRAM_SIZE && !cpu->sram_executable) || address - CCM_BASE < CCM_SIZE;
     cpu->pages_asked++;
+    forget_it_state(cpu, type);
     if (type == UC_MEM_FETCH && never_executes((uint32_t)address)) {
         cpu->leave = LEAVE_EXCEPTION;
         cpu->leave_exception = UNICORN_PREFETCH_ABORT;
@@ -56,6 +67,7 @@ static bool on_bad_memory(uc_engine *uc, uc_mem_type type, uint64_t address, int
     cpu_t *const cpu = user;
     cpu->bad_address = (uint32_t)address;
     cpu->forbidden = false;
+    forget_it_state(cpu, type);
     if (type == UC_MEM_WRITE_PROT && (uint32_t)address - FLASH_BASE < FLASH_SIZE &&
         protection_allows(cpu, (uint32_t)address, (unsigned)size, MPU_WRITE)) {
         core_bus_flash_store(cpu, (uint32_t)address, (unsigned)size, (uint64_t)value);
@@ -73,6 +85,7 @@ static void on_access(uc_engine *uc, uc_mem_type type, uint64_t address, int siz
     (void)uc;
     (void)value;
     cpu_t *const cpu = user;
+    forget_it_state(cpu, type);
     if (size > 1 && (address & ((unsigned)size - 1u)) != 0 && cpu->fault.exception == 0) {
         core_bus_unaligned(cpu, (uint32_t)address, (unsigned)size, type == UC_MEM_WRITE);
     }
