@@ -14,9 +14,10 @@ static int16_t milliamperes(float amperes) {
     return (int16_t)node_clamp(rounded(amperes * 1000.0f), INT16_MAX);
 }
 
-/* Returns the cause as it concerns a channel. */
+/* Returns the cause as it concerns a channel. One of a channel that is not driven, as a bit that flips may have it,
+ * concerns all: it is told. */
 static cause_t cause_of(const drive_t *drive, uint32_t channel) {
-    return drive->channel == channel || drive->channel == DRIVE_COMMON ? (cause_t)drive->latch.cause : CAUSE_NONE;
+    return drive->channel == channel || drive->channel >= drive->channels ? (cause_t)drive->latch.cause : CAUSE_NONE;
 }
 
 static void send_status(drive_t *drive, uint32_t channel) {

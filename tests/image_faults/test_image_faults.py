@@ -208,6 +208,21 @@ def test_a_bit_that_flips_in_what_makes_the_current_ends_in_a_reset_that_is_told
     board.close()
 
 
+@pytest.mark.parametrize("bit", [0, 3])
+def test_a_cause_whose_channel_is_none_of_those_driven_is_told(bit: int) -> None:
+    """One coil is driven: bit 0 leads to the second, bit 3 to none that a board has."""
+    fault = 450 * MS
+    board = driven()[0].start()
+    board.run(fault + MS)
+    assert not board.level[PIN_ENABLE]
+    board.emulator.flip_memory(place_of(BEACON_IMAGE, "beacon.drive.channel").start, 1 << bit)
+    since = fault + 10 * MS  # What was told at once has left.
+    board.run(since + 1200 * MS)
+    seen = told(board, since)
+    assert (seen.causes, seen.resets) == (["over_current"], 0)
+    board.close()
+
+
 # ---- What would be seen ----
 
 
