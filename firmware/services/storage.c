@@ -53,9 +53,13 @@ storage_found_t storage_start(storage_t *storage, hal_t *hal, parameters_t *para
     return found;
 }
 
+/* The store is opened anew: what a word that was written astray has made of it might write over the set that is kept.
+ */
 void storage_save(storage_t *storage, const parameters_t *parameters, uint32_t version) {
+    const store_flash_t flash = flash_of(storage);
     (void)parameter_set_write(parameters, version, storage->words);
     storage->whole = parameter_set_holds(parameters, version, storage->words);
+    store_open(&storage->store, &flash);
     storage->begun = false;
     storage->erased = false;
 }
