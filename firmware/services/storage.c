@@ -112,7 +112,8 @@ static storage_result_t go_on(storage_t *storage) {
         } else if (has(&storage->store, storage)) {
             return is_saved_again(storage) ? STORAGE_KEPT : STORAGE_FAILED;
         } else {
-            storage->begun = store_save(&storage->store, storage->words, PARAMETER_SET_WORDS);
+            storage->begun = store_save(&storage->store, storage->words, PARAMETER_SET_WORDS) &&
+                             store_saves(&storage->store, storage->words, PARAMETER_SET_WORDS);
             if (!storage->begun) {
                 return STORAGE_FAILED; /* Somebody has put a record of the store into the parameters (store.h). */
             }

@@ -242,6 +242,16 @@ def test_a_save_finds_in_the_flash_alone_what_is_kept() -> None:
     board.close()
 
 
+@pytest.mark.parametrize(("name", "register", "bit"), [("save", 1, 6), ("save", 2, 5), ("erase", 2, 5)])
+def test_a_save_of_other_words_than_those_meant_is_none(name: str, register: int, bit: int) -> None:
+    """Place and number of the words are handed over in r1 and r2 (AAPCS): either might lead to a part of a set."""
+    workload = named(name)
+    bench, visits, sound = ready(workload)
+    entry = workload.chip(bench).symbols["store_save"] & ~1
+    check(list(run(workload, bench, [Upset(name, "flip", entry, visits[entry], register, bit)], sound, 1)))
+    bench.close()
+
+
 # ---- What would be seen ----
 
 

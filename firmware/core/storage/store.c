@@ -263,6 +263,10 @@ bool store_save(store_t *store, const uint32_t *data, uint32_t count) {
     return true;
 }
 
+bool store_saves(const store_t *store, const uint32_t *data, uint32_t count) {
+    return store->outcome == STORE_BUSY && store->data == data && store->count == count;
+}
+
 /* The step of a phase that its cursor stands in front of. */
 static store_step_t step_of(const store_t *store) {
     static const uint32_t ends[2] = {COMMIT, SETTLED};

@@ -109,6 +109,10 @@ const uint32_t *store_read(const store_t *store, uint32_t *count);
  * in front of them would have them read in place of the set. */
 bool store_save(store_t *store, const uint32_t *data, uint32_t count);
 
+/* Returns whether the save under way is one of these words: a caller that asks, and goes on only then, keeps no words
+ * that an erring processor has handed over in their place. */
+bool store_saves(const store_t *store, const uint32_t *data, uint32_t count);
+
 /* Returns the next step for the caller to carry out; STORE_NOTHING if all is done. */
 store_step_t store_next(store_t *store);
 

@@ -222,6 +222,20 @@ def test_words_that_change_while_they_are_saved_are_not_kept(core):
     assert board.start() == a_set(1)
 
 
+def test_a_save_is_one_of_its_own_words_until_it_has_ended(core):
+    ffi, lib = core
+    board = fresh(core)
+    data = ffi.new("uint32_t[]", list(a_set(2)))
+    count = len(a_set(2))
+    assert not lib.store_saves(board._store, data, count)
+    assert lib.store_save(board._store, data, count)
+    assert lib.store_saves(board._store, data, count)
+    assert not lib.store_saves(board._store, data, count - 1)
+    assert not lib.store_saves(board._store, data + 1, count)
+    board.work()
+    assert not lib.store_saves(board._store, data, count)
+
+
 @given(noise=st.data(), words=st.integers(0, 60))
 def test_any_contents_are_survived(core, noise, words):
     """Whatever lies in the flash, a set can be saved, if it fits, and is there then."""
