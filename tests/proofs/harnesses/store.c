@@ -129,6 +129,7 @@ static void read(void) {
     //@ assert none == 0;
     store_t store = any_store((uint8_t)any_up_to(PHASE_COMMIT));
     (void)store_outcome(&store);
+    (void)store_saves(&store, data, COUNT);
     (void)store_torn(&store);
     (void)store_wear(&store, any_up_to(STORE_SLOTS - 1u));
 }
