@@ -15,7 +15,7 @@ OBJECTS = ROOT / "build" / "objects"
 SANITIZED = (
     "-std=c11",
     "-D_GNU_SOURCE",
-    "-O1",
+    "-Og",
     "-g",
     "-fsanitize=address,undefined,float-cast-overflow",
     "-fno-sanitize-recover=all",
