@@ -20,6 +20,7 @@ import argparse
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from goldfield_protocol import FrameDecoder, decode, encode
@@ -27,6 +28,7 @@ from goldfield_protocol.messages import database
 from goldfield_protocol.table import counter_name
 from hil_sim import CYCLES_BY_CLASS
 from hil_sim.emulator import Probe
+from tests.firmware.analog_pins import FOREVER, MID_SCALE_V
 from tests.firmware.host_rig import (
     ANCHOR,
     BEACON,
@@ -34,12 +36,12 @@ from tests.firmware.host_rig import (
     MS,
     PIN_CURRENT,
     PIN_ENABLE,
-    PIN_FIELD,
     PINS_BRIDGE,
     SECOND,
     SENSOR,
     Board,
     chip_seconds,
+    each_axis,
     gold_chips,
 )
 
@@ -145,7 +147,7 @@ class Loaded:
             role,
             {"node": NODE, "open_coil": 0.0, **parameters},
             ppm=17.0,
-            volts=self._volts,
+            volts=each_axis(self._field) | {pin: partial(self._sense, at) for at, pin in enumerate(PIN_CURRENT)},
             emulated=True,
             cycles=cycles,
             strict=False,
@@ -153,16 +155,19 @@ class Loaded:
         self._requests = self._frame = self._cycle = 0
         self._free = 0
 
-    def _volts(self, pin: int, time: int) -> float:
+    def _sense(self, channel: int, _time: int) -> tuple[float, int]:
         board = self.board
-        if pin in PIN_CURRENT and board.level.get(PIN_ENABLE) and board.analog[PIN_CURRENT.index(pin)]:
-            channel = PIN_CURRENT.index(pin)
-            positive, negative = (bool(board.level.get(p)) for p in PINS_BRIDGE[channel])
-            amperes = (int(positive) - int(negative)) * board.analog[channel][-1][1] / 3.3 * 16.0
-            return 1.65 + 0.103125 * amperes
-        if pin in PIN_FIELD:
-            return 1.65 + self.field[int(time * 1e-12 / chip_seconds(0.0)) % CHIPS] * 3.3 / 4096
-        return 1.65
+        if not (board.level.get(PIN_ENABLE) and board.analog[channel]):
+            return MID_SCALE_V, FOREVER
+        positive, negative = (bool(board.level.get(p)) for p in PINS_BRIDGE[channel])
+        amperes = (int(positive) - int(negative)) * board.analog[channel][-1][1] / 3.3 * 16.0
+        return MID_SCALE_V + 0.103125 * amperes, FOREVER
+
+    def _field(self, _axis: int, time: int) -> tuple[float, int]:
+        """Volts of an axis, and a time a little before the next chip."""
+        length_ps = chip_seconds(0.0) * 1e12
+        chip = int(time / length_ps)
+        return MID_SCALE_V + self.field[chip % CHIPS] * 3.3 / 4096, int((chip + 1) * length_ps) - 10
 
     def _start(self, cycle: int) -> int:
         return 3 * MS + round(cycle * self.degree_chips * chip_seconds(0.0) * SECOND)

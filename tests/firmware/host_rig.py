@@ -17,7 +17,7 @@ from goldfield_protocol import FrameDecoder, Message, decode, encode, encode_fra
 from goldfield_protocol.parameters import PAGE_BYTES, build_page
 from hil_sim.clib import ROOT, load
 from hil_sim.emulator.emulator import Configuration, Emulator
-from tests.firmware.analog_pins import FOREVER, MID_SCALE_V, AnalogPins, Pins
+from tests.firmware.analog_pins import FOREVER, MID_SCALE_V, AnalogPins, Pins, Source
 from tests.firmware.gold_pairs import PAIRS
 
 FFI, LIBRARY = load("libgf_hostboard.so", ["boards/host/host_board.h"])
@@ -319,7 +319,7 @@ class Rig:
         return iter(self.boards)
 
 
-def each_axis(volts: Callable[[int, int], float | tuple[float, int]]) -> Pins:
+def each_axis(volts: Callable[[int, int], float | tuple[float, int]]) -> dict[int, Source]:
     """Inputs of a sensor's axes of which ``volts(axis, time)`` tells."""
     return {pin: partial(volts, axis) for axis, pin in enumerate(PIN_FIELD)}
 

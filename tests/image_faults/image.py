@@ -12,7 +12,7 @@ from typing import Any
 
 from elftools.elf.elffile import ELFFile
 
-from hil_sim.emulator.emulator import read_image
+from hil_sim.emulator.elf_image import read_image
 
 MODULES = {
     "current": ("core/drive/current.c", "core/drive/waveform.c"),

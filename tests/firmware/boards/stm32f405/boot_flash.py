@@ -22,7 +22,8 @@ from goldfield_protocol.image import (
     parse,
 )
 from hil_sim.clib import ROOT
-from hil_sim.emulator.emulator import Configuration, Emulator, read_image
+from hil_sim.emulator.elf_image import read_image
+from hil_sim.emulator.emulator import Configuration, Emulator
 from hil_sim.emulator.kept_flash import CELLS, FLASH
 from tests.firmware.core.boot.slots import KEY, public
 

@@ -6,6 +6,7 @@ Time zero is the moment the LED pin rises, which the driver does together with t
 import bisect
 import itertools
 import struct
+from collections import Counter
 from pathlib import Path
 
 from hil_sim import clib
@@ -65,6 +66,7 @@ class Bench:
         self.zero_ps = None
         self.edges = []  # (time, pin, level) since the start
         self.analog = ([], [])  # (time, counts) of each channel
+        self._taken = Counter()
         self.conversions = []  # (pin, chip, number in the chip, ticks since the chip's start)
         self.middles = []  # (pin, chip, ticks since the chip's start) of the coil currents amid the chip
         self._ffi, _ = clib.load(LIBRARY, ["emulator/emulator.h"])
@@ -108,7 +110,8 @@ class Bench:
                 return (chip % 3000 + 107.25 + MONITOR[pin]) * 3.3 / 4096
         if ticks < 14000:  # Converted beside the temperature, for nobody.
             return 0.0
-        number = sum(1 for p, c, *_ in self.conversions[-60:] if (p, c) == (pin, chip))
+        number = self._taken[pin, chip]
+        self._taken[pin, chip] += 1
         self.conversions.append((pin, chip, number, ticks))
         if pin in MONITOR:
             return (chip % 3000 + 100.25 + MONITOR[pin]) * 3.3 / 4096

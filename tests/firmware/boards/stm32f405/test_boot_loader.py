@@ -14,7 +14,8 @@ from elftools.elf.elffile import ELFFile
 
 from goldfield_protocol.image import CODE_OFFSET, ERASED, MARK, SLOTS, STM32F405, Header, head
 from hil_sim.clib import ROOT
-from hil_sim.emulator.emulator import Configuration, Emulator, read_image
+from hil_sim.emulator.elf_image import read_image
+from hil_sim.emulator.emulator import Configuration, Emulator
 from tests.firmware.boards.stm32f405.boot_flash import BOOT, MS, Run, boot_loader, flash, image, probed, state_of
 from tests.firmware.boards.stm32f405.test_reset import RESTART, RUN_MS, told
 from tests.firmware.core.boot.slots import KEY, OTHER_KEY, public
