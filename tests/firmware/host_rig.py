@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -50,21 +50,23 @@ def chip_seconds(ppm: float) -> float:
     return CHIP_TICKS / (TICKS_PER_SECOND * (1 + ppm * 1e-6))
 
 
+@cache
+def _register(stages: tuple[int, ...], degree: int) -> NDArray[np.int64]:
+    """One period of a shift register whose stages feed back, from all ones."""
+    state = [1] * degree
+    out = []
+    for _ in range(2**degree - 1):
+        out.append(state[-1])
+        state = [sum(state[s - 1] for s in stages) % 2, *state[:-1]]
+    return np.array(out)
+
+
 def gold_chips(code: int, degree: int = 10) -> NDArray[np.int64]:
     """One period of a code as +1 and -1, from the registers' definition (IS-GPS-200, figures 3-8 and 3-9)."""
     chips = 2**degree - 1
-
-    def register(stages: tuple[int, ...]) -> list[int]:
-        state = [1] * degree
-        out = []
-        for _ in range(chips):
-            out.append(state[-1])
-            state = [sum(state[s - 1] for s in stages) % 2, *state[:-1]]
-        return out
-
-    u, v = (np.array(register(stages)) for stages in PAIRS[degree])
+    u, v = (_register(stages, degree) for stages in PAIRS[degree])
     bits = u if code == chips else v if code == chips + 1 else u ^ np.roll(v, -code)
-    return np.array(1 - 2 * bits, dtype=np.int64)
+    return 1 - 2 * bits
 
 
 @dataclass
