@@ -12,7 +12,6 @@ drive c. Taking f for c biases the estimate; three cures:
 from __future__ import annotations
 
 import math
-from itertools import accumulate
 
 import numpy as np
 
@@ -39,7 +38,8 @@ def filtered(drive: FloatArray, tau_chips: float) -> FloatArray:
     Returns
     -------
     ndarray, of the same shape
-        f[n] = e f[n-1] + (1 - e) c[n] with f[-1] = f[N-1], to rounding.
+        f[n] = e f[n-1] + (1 - e) c[n] with f[-1] = f[N-1], to rounding: a product in the frequency domain, as the
+        cycle repeats.
 
     Examples
     --------
@@ -51,15 +51,10 @@ def filtered(drive: FloatArray, tau_chips: float) -> FloatArray:
     e = remainder(tau_chips)
     if e == 0.0:
         return drive
-    steps = ((1.0 - e) * np.asarray(drive)).reshape(len(drive), -1).T.tolist()
-    columns = [_settled(column, e) for column in steps]
-    return np.array(columns).T.reshape(np.shape(drive))
-
-
-def _settled(steps: list[float], e: float) -> list[float]:
-    """Return f[n] = e f[n-1] + step[n] of a cycle that has gone on for ever."""
-    *_, last = accumulate(steps, lambda before, step: e * before + step)
-    return list(accumulate(steps, lambda before, step: e * before + step, initial=last / (1.0 - e ** len(steps))))[1:]
+    drive = np.asarray(drive)
+    turn = np.exp(-2j * np.pi * np.arange(len(drive) // 2 + 1) / len(drive))  # of each frequency in a chip
+    gain = ((1.0 - e) / (1.0 - e * turn)).reshape(-1, *[1] * (drive.ndim - 1))
+    return np.fft.irfft(gain * np.fft.rfft(drive, axis=0), n=len(drive), axis=0)
 
 
 def sharpened(samples_T: FloatArray, tau_chips: float) -> FloatArray:
