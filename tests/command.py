@@ -10,7 +10,7 @@ import math
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -23,7 +23,7 @@ T = TypeVar("T")
 PR_SET_PDEATHSIG = 1
 """An option of Linux's `prctl`."""
 
-# ---- Numbers ----
+# ---- Numbers and names ----
 
 
 def whole_number(least: int = 0) -> Callable[[str], int]:
@@ -49,6 +49,17 @@ def real_number(least: float, most: float = math.inf) -> Callable[[str], float]:
             upper = "on" if math.isinf(most) else f"to {most:g}"
             raise argparse.ArgumentTypeError(f"{word!r} is no number from {least:g} {upper}")
         return value
+
+    return read
+
+
+def one_of(names: Collection[str]) -> Callable[[str], str]:
+    """Return a type of argparse: one of these names; `choices` would refuse that none is given where none need be."""
+
+    def read(word: str) -> str:
+        if word not in names:
+            raise argparse.ArgumentTypeError(f"{word!r} is none of {', '.join(names)}")
+        return word
 
     return read
 

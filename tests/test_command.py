@@ -12,20 +12,24 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 
 from goldfield.errors import SystemFailure, UserError
+from hil_sim.clib import ROOT
 from tests.bench import day_run, long_run
 from tests.bench.peers import __main__ as peers
 from tests.campaign import __main__ as campaign
-from tests.command import ended, growing, read_results, real_number, results_in, whole_number
+from tests.command import ended, growing, one_of, read_results, real_number, results_in, whole_number
 from tests.coverage import report
 from tests.fuzz import keep
 from tests.image_faults import __main__ as image_faults
 from tests.mutants import run as mutants
 from tests.proofs import run as proofs
+
+BENCH = ROOT / "tests/bench"
 
 
 @dataclass
@@ -45,6 +49,7 @@ ODD: list[tuple[Callable[[list[str]], int], str]] = [
     *[(day_run.main, words) for words in ("--hours 0", "--hours nan", "--seed -1", "--gap 5 3", "--gap -5 -3")],
     *[(peers.main, words) for words in ("nothing", "decode --rounds 0", "--compare --keep", "decode --keep")],
     *[(mutants.main, f"core {words}") for words in ("--files nowhere.c", "--sample -1", "--budget nan", "--workers 0")],
+    (mutants.main, "core --number -1"),
     (mutants.main, "nothing"),
     (proofs.main, "nothing"),
     (keep.main, ""),
@@ -57,6 +62,42 @@ def test_what_cannot_be_is_refused_before_anything_is_done(main, words, capsys) 
         main(words.split())
     assert end.value.code == 2
     assert "error: " in capsys.readouterr().err.splitlines()[-1]
+
+
+def of_its_parser(main: Callable[[], object], monkeypatch) -> argparse.ArgumentParser:
+    """Return the parser of a command, which comes as far as to read its words, and no further."""
+    found: list[argparse.ArgumentParser] = []
+
+    def parsed(parser: argparse.ArgumentParser, *_: object) -> None:
+        found.append(parser)
+        raise UserError("read")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(argparse.ArgumentParser, "parse_args", parsed)
+        with pytest.raises(UserError, match="read"):
+            main()
+    return found[0]
+
+
+FIGURES = [path.stem for path in BENCH.glob("*.py") if "ArgumentParser" in path.read_text(encoding="utf-8")]
+TEXTS = {"readme_figures": {"only"}, "locate_before": {"revision"}, "rate_figures": {"fault"}}
+"""Words of commands of figures that may be any text."""
+
+
+@pytest.mark.parametrize("name", sorted(FIGURES))
+def test_commands_of_figures_refuse_what_cannot_be(name, monkeypatch, capsys) -> None:
+    """Whatever word takes a value refuses what is none, and numbers below their least, before anything is measured."""
+    main = import_module(f"tests.bench.{name}").main
+    for action in of_its_parser(main, monkeypatch)._actions:
+        if action.nargs == 0 or action.type is Path or action.dest in TEXTS.get(name, ()):
+            continue
+        for bad in ("-1", "nan", "nowhere"):
+            word = f"{action.option_strings[0]}={bad}" if action.option_strings else bad
+            monkeypatch.setattr(sys, "argv", [name, word])
+            with pytest.raises(SystemExit) as end:
+                main()
+            assert end.value.code == 2
+            assert "error: " in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("target", ["core/nowhere", "nowhere", "../../x/frames", "core", "host/judging"])
@@ -73,7 +114,10 @@ def test_a_table_of_coverage_that_was_not_measured_is_told(monkeypatch, tmp_path
         report.main()
 
 
-def test_numbers_are_taken_up_to_their_limits() -> None:
+def test_numbers_are_taken_up_to_their_limits_and_names_that_there_are() -> None:
+    assert one_of({"a": 1, "b": 2})("b") == "b"
+    with pytest.raises(argparse.ArgumentTypeError, match="'c' is none of a, b"):
+        one_of({"a": 1, "b": 2})("c")
     assert [whole_number(1)(word) for word in ("1", "20")] == [1, 20]
     assert [real_number(least=0.5, most=2.0)(word) for word in ("0.5", "2")] == [0.5, 2.0]
     for word in ("0", "-1", "1.0", "--1", "", "x"):

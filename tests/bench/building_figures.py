@@ -33,6 +33,7 @@ from goldfield.types import FloatArray, Pose, Status
 from hil_sim.clib import ROOT
 from hil_sim.rig import Rig
 from hil_sim.scenario import load_scenario, site_toml
+from tests.command import real_number, whole_number
 from tests.hil.rig_link import RigSerialLink
 
 SPACING_M, CEILING_M = 4.5, 2.7
@@ -186,10 +187,10 @@ def show(found: Walked, boot_s: float, height_m: float) -> None:
 def main() -> None:
     """Measure."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--beacons", type=int, default=1000)
-    parser.add_argument("--metres", type=float, default=200.0, help="how far the sensor walks (default 200)")
-    parser.add_argument("--height", type=float, default=CEILING_M, help="of the ceiling, m (default 2.7)")
-    parser.add_argument("--seed", type=int, default=1, help="of the noise (default 1)")
+    parser.add_argument("--beacons", type=whole_number(1), default=1000)
+    parser.add_argument("--metres", type=real_number(1.0), default=200.0, help="how far the sensor walks (default 200)")
+    parser.add_argument("--height", type=real_number(0.5), default=CEILING_M, help="of the ceiling, m (default 2.7)")
+    parser.add_argument("--seed", type=whole_number(), default=1, help="of the noise (default 1)")
     parser.add_argument("--bus", action="store_true", help="all beacons are on the CAN bus")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as directory:

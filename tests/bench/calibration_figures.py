@@ -19,6 +19,7 @@ from goldfield.calibration.sensor import calibrate_sensor
 from goldfield.calibration.turn import turn_of_reports
 from hil_sim import scenario
 from hil_sim.bench import SimulatedBench
+from tests.command import real_number, whole_number
 
 UPPER = np.triu_indices(3)
 GAINS, LEANS = [0, 3, 5], [1, 2, 4]
@@ -80,10 +81,10 @@ def one(directory: Path, errors: str, noise: str, seed: int, seconds: float) -> 
 def main() -> None:
     """Print a line for each noise and site."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--seeds", type=whole_number(1), default=10)
     parser.add_argument("--noise", choices=NOISE, action="append", help="only this one")
     parser.add_argument("--site", choices=SITES, action="append", help="only this one")
-    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--seconds", type=real_number(1.0), default=60.0)
     parser.add_argument("--each", action="store_true", help="print every seed")
     arguments = parser.parse_args()
     print("rms over the seeds, in parts of a million; largest gain error; NEES of six elements; offset in nT")

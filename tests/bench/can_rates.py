@@ -12,6 +12,7 @@ import numpy as np
 from goldfield_protocol.rates import CAN_RATES
 from hil_sim.bench import SimulatedBench
 from hil_sim.scenario import SCENARIOS
+from tests.command import whole_number
 from tests.hil.can_timing import FloatArray, LoadedBus, beacon_phases, cold_starts
 
 LOAD = 0.4
@@ -42,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Print a line for each rate."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--boards", choices=("emulated", "host"), default="emulated")
-    parser.add_argument("--spans", type=int, default=2)
+    parser.add_argument("--spans", type=whole_number(1), default=2)
     options = parser.parse_args(arguments)
     for bit_s in CAN_RATES:
         with tempfile.TemporaryDirectory() as directory:

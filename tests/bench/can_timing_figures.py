@@ -19,6 +19,7 @@ from hil_sim import clib
 from hil_sim.bench import SimulatedBench
 from hil_sim.rig import SENSOR
 from tests.bench.chain_figures import POSES, open_bench, pose_errors, poses_of, rms
+from tests.command import real_number, whole_number
 from tests.hil.can_timing import LoadedBus, beacon_phases, cold_starts, sensor_phases, starve
 
 SCENARIO = "prigge8can"
@@ -126,9 +127,9 @@ def main(argv: list[str] | None = None) -> int:
     """Print everything."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--boards", choices=("emulated", "host"), default="emulated")
-    parser.add_argument("--seconds", type=float, default=10.0, help="of the edges' measurement")
-    parser.add_argument("--starts", type=int, default=100, help="cold starts")
-    parser.add_argument("--epochs", type=int, default=40, help="epochs a pose")
+    parser.add_argument("--seconds", type=real_number(1.0), default=10.0, help="of the edges' measurement")
+    parser.add_argument("--starts", type=whole_number(1), default=100, help="cold starts")
+    parser.add_argument("--epochs", type=whole_number(1), default=40, help="epochs a pose")
     options = parser.parse_args(argv)
     print(f"timing over CAN, {options.boards} boards")
     print_edges(options.boards, options.seconds)

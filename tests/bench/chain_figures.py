@@ -22,6 +22,7 @@ from goldfield.types import Pose
 from hil_sim import clib
 from hil_sim.bench import SimulatedBench
 from hil_sim.emulator import Emulator
+from tests.command import whole_number
 
 CYCLE_INSTRUCTIONS = 168e6 * 1023 * 16422 / 168e6
 """One instruction is one cycle in the emulator."""
@@ -178,7 +179,7 @@ def main(argv: list[str] | None = None) -> int:
     """Print everything."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--boards", choices=("emulated", "host"), default="emulated")
-    parser.add_argument("--epochs", type=int, default=40, help="epochs a pose")
+    parser.add_argument("--epochs", type=whole_number(1), default=40, help="epochs a pose")
     options = parser.parse_args(argv)
     if options.boards == "emulated":
         print_instructions()

@@ -13,6 +13,7 @@ import numpy as np
 
 from goldfield.planning.code_plan import planned
 from goldfield.planning.grid import Grid
+from tests.command import real_number, whole_number
 from tests.host.planning.built import ceiling
 
 SPACING_M, STRONGEST = 4.5, 16
@@ -47,9 +48,9 @@ def _decibels(ratio: float) -> str:
 def main() -> None:
     """Print the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--beacons", type=int, nargs="+", default=[500, 1000, 2000])
-    parser.add_argument("--step", type=float, default=1.5, help="distance of the places, m (default 1.5)")
-    parser.add_argument("--height", type=float, default=4.5, help="of the ceiling, m (default 4.5)")
+    parser.add_argument("--beacons", type=whole_number(1), nargs="+", default=[500, 1000, 2000])
+    parser.add_argument("--step", type=real_number(0.1), default=1.5, help="distance of the places, m (default 1.5)")
+    parser.add_argument("--height", type=real_number(0.5), default=4.5, help="of the ceiling, m (default 4.5)")
     arguments = parser.parse_args()
     heads = (
         "beacons",

@@ -17,7 +17,9 @@ import time
 import numpy as np
 
 from goldfield_protocol import FrameDecoder, Message, decode
+from hil_sim.options import cycles
 from hil_sim.rig import Rig
+from tests.command import whole_number
 from tests.hil.reference_coil import COIL
 from tests.hil.scenario_text import scenario_of
 
@@ -115,14 +117,13 @@ def boot(seed: int, cycles: float | str) -> tuple[list[str], float]:
 def main() -> int:
     """Boot many times, and print how it went."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--boots", type=int, default=200)
-    parser.add_argument("--cycles-per-instruction", default="2.5", metavar="X", help="a number from 1 on, or m4")
-    parser.add_argument("--seed", type=int, default=12, help="of the first boot; each other takes the next")
+    parser.add_argument("--boots", type=whole_number(1), default=200)
+    parser.add_argument("--cycles-per-instruction", type=cycles, default=2.5, metavar="X", help="1 to 100, or m4")
+    parser.add_argument("--seed", type=whole_number(), default=12, help="of the first boot; each other takes the next")
     arguments = parser.parse_args()
-    cycles = arguments.cycles_per_instruction
     began, good, times = time.process_time(), 0, []
     for number in range(arguments.boots):
-        wrong, first_s = boot(arguments.seed + number, cycles)
+        wrong, first_s = boot(arguments.seed + number, arguments.cycles_per_instruction)
         good += not wrong
         times.append(first_s)
         if wrong:
@@ -130,8 +131,9 @@ def main() -> int:
         if number % 10 == 9 or number == arguments.boots - 1:
             print(f"{good} of {number + 1} boots good, {time.process_time() - began:.0f} s of processor", flush=True)
     print(
-        f"{good} of {arguments.boots} cold boots at {cycles} cycles an instruction: all run, nothing is counted; the "
-        f"sensor's first locked cycle after {np.nanmedian(times):.2f} s (median), {np.nanmax(times):.2f} (worst)"
+        f"{good} of {arguments.boots} cold boots at {arguments.cycles_per_instruction} cycles an "
+        f"instruction: all run, nothing is counted; the sensor's first locked cycle after "
+        f"{np.nanmedian(times):.2f} s (median), {np.nanmax(times):.2f} (worst)"
     )
     return 0 if good == arguments.boots else 1
 

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from goldfield.cli.entry import build_parser
+from tests.command import whole_number
 
 CYCLE_S = 0.1
 GOLDFIELD = [sys.executable, "-m", "goldfield"]
@@ -133,8 +134,8 @@ def print_work(folder: Path, cycles: int, turns: int) -> None:
 def main() -> None:
     """Print both tables."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cycles", type=int, default=200, help="length of the recording")
-    parser.add_argument("--turns", type=int, default=3, help="runs of each, of which the least time counts")
+    parser.add_argument("--cycles", type=whole_number(1), default=200, help="length of the recording")
+    parser.add_argument("--turns", type=whole_number(1), default=3, help="runs of each, of which the least time counts")
     arguments = parser.parse_args()
     print_start_up(arguments.turns)
     with tempfile.TemporaryDirectory() as name:

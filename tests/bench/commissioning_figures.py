@@ -20,6 +20,7 @@ from goldfield import site as sites
 from goldfield.sensor import dialogue as dialogues
 from goldfield.sensor import session as sessions
 from goldfield.sensor.pipeline import Sensor
+from tests.command import whole_number
 from tests.hil.from_the_box import MOST_SITED, Bench, documented_commands, hall
 from tests.hil.rig_link import RigLink
 
@@ -65,7 +66,7 @@ def measure(boards: int, directory: Path) -> None:
 def main() -> None:
     """Measure."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--boards", type=int, default=100, help="boards, the sensor among them")
+    parser.add_argument("--boards", type=whole_number(2), default=100, help="boards, the sensor among them")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as directory:
         measure(arguments.boards, Path(directory))

@@ -29,6 +29,7 @@ from goldfield_protocol.table import counter_name
 from hil_sim import CYCLES_BY_CLASS
 from hil_sim.emulator import Probe
 from tests.firmware.analog_pins import FOREVER, MID_SCALE_V
+from tests.command import one_of, real_number
 from tests.firmware.host_rig import (
     ANCHOR,
     BEACON,
@@ -346,9 +347,11 @@ def beyond(image: str, factors: Iterable[float], seconds: float) -> None:
 def main() -> None:
     """Print what is asked for."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("images", nargs="*", metavar="IMAGE", help=f"of {', '.join(IMAGES)}; all if none is given")
     parser.add_argument(
-        "--seconds", type=float, default=2.5, help="virtual time of each run, with the drive on at its end"
+        "images", nargs="*", type=one_of(IMAGES), metavar="IMAGE", help=f"of {', '.join(IMAGES)}; all if none is given"
+    )
+    parser.add_argument(
+        "--seconds", type=real_number(1.0), default=2.5, help="virtual time of each run, with the drive on at its end"
     )
     arguments = parser.parse_args()
     for image in arguments.images or IMAGES:

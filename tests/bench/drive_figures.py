@@ -25,6 +25,7 @@ from goldfield_protocol import FrameDecoder, decode
 from hil_sim.clib import load
 from hil_sim.rig import Rig
 from hil_sim.scenario import load as load_scenario
+from tests.command import real_number
 from tests.firmware.host_rig import (
     BEACON,
     CHIPS,
@@ -264,7 +265,9 @@ def endurance(told_apart: str, hours: float) -> None:
 def main() -> None:
     """Print what is asked for."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--hours", type=float, help="run beacons so long together, and tell whether one trips")
+    parser.add_argument(
+        "--hours", type=real_number(0.001), help="run beacons so long together, and tell whether one trips"
+    )
     parser.add_argument("--told-apart", choices=TOLD_APART, help="run only these, for a fifth of the hours")
     arguments = parser.parse_args()
     if arguments.hours is not None:

@@ -19,16 +19,20 @@ import time
 from pathlib import Path
 
 from hil_sim.clib import LIBRARIES_VARIABLE, ROOT
+from hil_sim.options import cycles
 from hil_sim.rig import Rig
-from hil_sim.scenario import load_scenario
+from hil_sim.scenario import SCENARIOS, load_scenario
+from tests.command import one_of, real_number, whole_number
+
+NAMES = sorted(path.stem for path in SCENARIOS.glob("*.toml"))
 
 
-def serve(scenario: str, cycles: str, boot_s: float, slice_s: float) -> None:
+def serve(scenario: str, cycles: float | str, boot_s: float, slice_s: float) -> None:
     """Run a slice for each line of stdin; print its processor time, instructions, and a hash of all that was said."""
     loaded = load_scenario(str(ROOT / f"hil_sim/scenarios/{scenario}.toml"))
     boards = range(1 + len(loaded.beacons))
     said = hashlib.sha256()
-    rig = Rig(loaded, "emulated", threads=1, cycles_per_instruction=cycles if cycles == "m4" else float(cycles))
+    rig = Rig(loaded, "emulated", threads=1, cycles_per_instruction=cycles)
     rig.advance(boot_s)
     ran = instructions(rig)
     print(json.dumps([0.0, 0, ""]), flush=True)
@@ -81,18 +85,18 @@ class Served:
 def main() -> None:
     """Print the figures."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--scenario", default="prigge8")
-    parser.add_argument("--cycles", default="1", help="cycles of an instruction, or m4: by class")
+    parser.add_argument("--scenario", type=one_of(NAMES), default="prigge8")
+    parser.add_argument("--cycles", type=cycles, default=1.0, help="cycles of an instruction, or m4: by class")
     parser.add_argument("--before", type=Path, help="folder of libraries to compare with")
-    parser.add_argument("--boot", type=float, default=0.8, help="virtual seconds before")
-    parser.add_argument("--slice", type=float, default=0.02, help="virtual seconds of a slice")
-    parser.add_argument("--slices", type=int, default=15)
+    parser.add_argument("--boot", type=real_number(0.0), default=0.8, help="virtual seconds before")
+    parser.add_argument("--slice", type=real_number(0.001), default=0.02, help="virtual seconds of a slice")
+    parser.add_argument("--slices", type=whole_number(1), default=15)
     parser.add_argument("--serve", action="store_true", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.serve:
         serve(arguments.scenario, arguments.cycles, arguments.boot, arguments.slice)
         return
-    words = ["--scenario", arguments.scenario, "--cycles", arguments.cycles]
+    words = ["--scenario", arguments.scenario, "--cycles", str(arguments.cycles)]
     words += ["--boot", str(arguments.boot), "--slice", str(arguments.slice)]
     rigs = [Served(words, None)] + ([Served(words, arguments.before.resolve())] if arguments.before else [])
     slices = []

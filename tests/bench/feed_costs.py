@@ -21,6 +21,7 @@ from goldfield.feeds.address import parse_address
 from goldfield.feeds.feed import Setting
 from goldfield.feeds.opening import Feeds, open_feed
 from goldfield.sensor.pipeline import Fix
+from tests.command import real_number
 from tests.host.feeds.broker import BROKER, Broker
 from tests.host.feeds.made import SITE, pose
 from tests.host.free_port import free_port
@@ -121,7 +122,7 @@ def row(name, urls, consumer, seconds, idle_s):
 def main():
     """Print a line for each feed."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=10.0)
+    parser.add_argument("--seconds", type=real_number(1.0), default=10.0)
     seconds = parser.parse_args().seconds
     _, idle_s = cost(Feeds([], SITE.cycle_s, live=True), seconds)
     with tempfile.TemporaryDirectory() as folder, socket.socket(type=socket.SOCK_DGRAM) as held:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from goldfield_protocol import decode
 from hil_sim.bench import SimulatedBench
 from hil_sim.clib import load
+from tests.command import whole_number
 from tests.firmware.core.timing.test_chip_clock import CYCLE_BLOCKS, MICROSECOND, Simulation
 from tests.firmware.core.timing.test_clock_error import CYCLE_S, drifting, quality
 from tests.hil.can_timing import beacon_phases
@@ -131,8 +132,12 @@ def print_boards(runs: int) -> None:
 def main() -> None:
     """Print what is asked for."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=10, help="runs of the chip clock for each drift (default 10)")
-    parser.add_argument("--boards", type=int, default=1, help="runs of emulated boards for each drift (default 1)")
+    parser.add_argument(
+        "--seeds", type=whole_number(1), default=10, help="runs of the chip clock for each drift (default 10)"
+    )
+    parser.add_argument(
+        "--boards", type=whole_number(), default=1, help="runs of emulated boards for each drift (default 1)"
+    )
     arguments = parser.parse_args()
     print_clocks(arguments.seeds)
     if arguments.boards > 0:

@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping
 
 from tests.bench import integrity_beacon_tables, integrity_rated, integrity_risk_tables, integrity_room_tables
 from tests.bench.integrity_run import Run
+from tests.command import one_of, whole_number
 
 TABLES: Mapping[str, Callable[[Run], None]] = {
     "systematic": integrity_room_tables.systematic_faults,
@@ -31,16 +32,19 @@ TABLES: Mapping[str, Callable[[Run], None]] = {
 def main(argv: list[str] | None = None) -> int:
     """Print the tables asked for."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("tables", nargs="*", metavar="TABLE", help=f"some of {', '.join(TABLES)}; default: all")
-    parser.add_argument("--poses", type=int, default=1000, help="poses a row (default 1000)")
-    parser.add_argument("--epochs", type=int, default=10_000, help="sound epochs a row of risks (default 10000)")
-    parser.add_argument("--faulty", type=int, help="epochs a row of risks with a fault (default: a tenth of the sound)")
-    parser.add_argument("--seed", type=int, default=1, help="seed: 1, the default, is for tuning")
+    parser.add_argument(
+        "tables", nargs="*", type=one_of(TABLES), metavar="TABLE", help=f"some of {', '.join(TABLES)}; default: all"
+    )
+    parser.add_argument("--poses", type=whole_number(1), default=1000, help="poses a row (default 1000)")
+    parser.add_argument(
+        "--epochs", type=whole_number(1), default=10_000, help="sound epochs a row of risks (default 10000)"
+    )
+    parser.add_argument(
+        "--faulty", type=whole_number(1), help="epochs a row of risks with a fault (default: a tenth of the sound)"
+    )
+    parser.add_argument("--seed", type=whole_number(), default=1, help="seed: 1, the default, is for tuning")
     parser.add_argument("--silent", action="store_true", help="the site files say nothing of errors")
     options = parser.parse_args(argv)
-    unknown = [name for name in options.tables if name not in TABLES]
-    if unknown:
-        parser.error(f"there is no table {', '.join(unknown)}; the tables are {', '.join(TABLES)}")
     faulty = max(options.epochs // 10, 1) if options.faulty is None else options.faulty
     run = Run(options.poses, options.epochs, faulty, options.seed, options.silent)
     print(f"Integrity figures: {run}")

@@ -20,6 +20,7 @@ import numpy as np
 
 from tests.bench import locate_trials as bench
 from tests.bench.integrity_sites import EXACT, text_of
+from tests.command import whole_number
 
 ROOT = Path(__file__).resolve().parents[2]
 BEFORE = "efa029e"
@@ -116,9 +117,11 @@ def main(argv: list[str] | None = None) -> int:
     """Print the comparison."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--revision", default=BEFORE, help=f"what to compare with (default {BEFORE})")
-    parser.add_argument("--rounds", type=int, default=9, help="turns of which the least counts (default 9)")
-    parser.add_argument("--epochs", type=int, default=2000, help="epochs in the cube of eight beacons (default 2000)")
-    parser.add_argument("--seed", type=int, default=106)
+    parser.add_argument("--rounds", type=whole_number(1), default=9, help="turns of which the least counts (default 9)")
+    parser.add_argument(
+        "--epochs", type=whole_number(1), default=2000, help="epochs in the cube of eight beacons (default 2000)"
+    )
+    parser.add_argument("--seed", type=whole_number(), default=106)
     options = parser.parse_args(argv)
     with tempfile.TemporaryDirectory(prefix="goldfield-before-") as folder:
         (Path(folder) / "before").mkdir()

@@ -19,6 +19,7 @@ from goldfield.locate.wahba import wahba
 from goldfield.types import Status
 from tests.bench import locate_speed
 from tests.bench import locate_trials as bench
+from tests.command import one_of, real_number
 
 
 def judged(site, run):
@@ -187,10 +188,18 @@ FIGURES = {
     "elsewhere": elsewhere,
 }
 
-if __name__ == "__main__":
+
+def main() -> None:
+    """Print what is asked for."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("figures", nargs="*", choices=[*FIGURES, []], help="default: all")
-    parser.add_argument("--scale", type=float, default=1.0, help="part of the full number of trials")
+    parser.add_argument(
+        "figures", nargs="*", metavar="NAME", type=one_of(FIGURES), help=f"of {', '.join(FIGURES)}; default: all"
+    )
+    parser.add_argument("--scale", type=real_number(0.001), default=1.0, help="part of the full number of trials")
     arguments = parser.parse_args()
     for name in arguments.figures or FIGURES:
         FIGURES[name](arguments.scale)
+
+
+if __name__ == "__main__":
+    main()

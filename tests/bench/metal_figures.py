@@ -20,6 +20,7 @@ from goldfield.survey import Free, survey
 from goldfield.types import Status
 from tests.bench.integrity_sites import EXACT, Errors
 from tests.bench.metal_trials import MetalTrial, metal_trial
+from tests.command import one_of, whole_number
 
 KINDS = ("plates", "beams", "spheres", "none")
 ASTRAY = Errors(position_m=0.005, axis_rad=float(np.deg2rad(0.3)), current=0.003)
@@ -59,8 +60,10 @@ def judged(site: Site, trial: MetalTrial) -> Judged:
 def main() -> None:
     """Print a row a room."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("kind", nargs="*", metavar="KIND", help=f"of {', '.join(KINDS)}; default: all")
-    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument(
+        "kind", nargs="*", type=one_of(KINDS), metavar="KIND", help=f"of {', '.join(KINDS)}; default: all"
+    )
+    parser.add_argument("--seeds", type=whole_number(1), default=3)
     arguments = parser.parse_args()
     unknown = set(arguments.kind) - set(KINDS)
     if unknown:

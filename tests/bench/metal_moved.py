@@ -19,6 +19,7 @@ from goldfield.site import Site
 from goldfield.survey import Free, survey
 from goldfield.types import Pose, Status
 from tests.bench.metal_trials import MetalTrial, Move, metal_trial
+from tests.command import whole_number
 
 EPOCHS, BEFORE = 600, 200
 """Epochs of the later walk, ten a second, and the one before which the sheet is moved."""
@@ -47,7 +48,7 @@ def _rms_mm(error_m: np.ndarray) -> float:
 def main() -> None:
     """Print a row a move and method."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--seeds", type=whole_number(1), default=3)
     arguments = parser.parse_args()
     print("seed  in cm  along cm  method  first word s  before mm  till then mm  after mm  said %  false")
     for seed in range(11, 11 + arguments.seeds):

@@ -20,6 +20,7 @@ from pathlib import Path
 from playwright.sync_api import expect
 
 from tests.bench.command_costs import GOLDFIELD
+from tests.command import whole_number
 from tests.host.page.browser import chromium
 
 STAGES = ("address printed", "page loaded", "first pose shown", "processor time")
@@ -58,7 +59,7 @@ def turn(browser, port: str, site: str, environment: dict[str, str]) -> tuple[fl
 def main() -> None:
     """Print the median and the worst of several turns."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--turns", type=int, default=10)
+    parser.add_argument("--turns", type=whole_number(1), default=10)
     turns = parser.parse_args().turns
     with tempfile.TemporaryDirectory() as name, chromium() as browser:
         site, said = f"{name}/site.toml", Path(name) / "bench.jsonl"

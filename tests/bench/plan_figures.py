@@ -24,6 +24,8 @@ import numpy as np
 import psutil
 from distributed import LocalCluster
 
+from tests.command import whole_number
+
 SPACING_M, HEIGHT_M = 4.5, 3.0
 STEP_M, HEIGHTS = 0.275, 4
 """With these a hall of a thousand beacons has a million points."""
@@ -114,8 +116,8 @@ def difference(first, second):
 def main():
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--beacons", type=int, default=1000)
-    parser.add_argument("--points", type=int, default=1_000_000)
+    parser.add_argument("--beacons", type=whole_number(1), default=1000)
+    parser.add_argument("--points", type=whole_number(1), default=1_000_000)
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

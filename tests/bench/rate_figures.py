@@ -33,6 +33,7 @@ from tests.bench.rate_latency import latency
 from tests.bench.rate_shared import shared, shared_scenario
 from tests.bench.rate_ways import Errors, cycles, follow, held_fixes, lagged
 from tests.bench.rate_world import BLOCK_CHIPS, MOTIONS, World, matched_walks, motion_of
+from tests.command import one_of, real_number, whole_number
 
 NOISES_T = (2e-7, 2e-8)
 SETTLED_S = 0.5
@@ -325,18 +326,26 @@ WHAT = {
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", nargs="*", choices=[*WHAT, []], help="default: all")
+    parser.add_argument(
+        "what", nargs="*", metavar="NAME", type=one_of(WHAT), help=f"of {', '.join(WHAT)}; default: all"
+    )
     parser.add_argument("--boards", choices=("emulated", "host"), default="emulated")
     parser.add_argument("--simulated", action="store_true", help="accuracy: samples without boards")
     parser.add_argument("--alone", action="store_true", help="accuracy: the block filter only")
-    parser.add_argument("--seeds", type=int, default=3, help="runs of each motion")
-    parser.add_argument("--first", type=int, default=0, metavar="SEED", help="the first of the seeds")
-    parser.add_argument("--seconds", type=float, default=3.0, help="length of a run of accuracy, faults, latency, host")
+    parser.add_argument("--seeds", type=whole_number(1), default=3, help="runs of each motion")
+    parser.add_argument("--first", type=whole_number(), default=0, metavar="SEED", help="the first of the seeds")
+    parser.add_argument(
+        "--seconds", type=real_number(1.0), default=3.0, help="length of a run of accuracy, faults, latency, host"
+    )
     parser.add_argument("--fault", metavar="NAME", help="faults, iron: those with this in their name only")
-    parser.add_argument("--codes", type=int, nargs="+", default=[8, 16], help="shared: codes of each sensor")
-    parser.add_argument("--count", type=int, default=1000, help="starts at each noise")
-    parser.add_argument("--runs", type=int, default=1, help="host: runs of the command")
-    parser.add_argument("--replays", type=int, default=7, help="work: replays, of which the least time counts")
+    parser.add_argument(
+        "--codes", type=whole_number(1), nargs="+", default=[8, 16], help="shared: codes of each sensor"
+    )
+    parser.add_argument("--count", type=whole_number(1), default=1000, help="starts at each noise")
+    parser.add_argument("--runs", type=whole_number(1), default=1, help="host: runs of the command")
+    parser.add_argument(
+        "--replays", type=whole_number(1), default=7, help="work: replays, of which the least time counts"
+    )
     options = parser.parse_args()
     for what in options.what or WHAT:
         begin = time.process_time()

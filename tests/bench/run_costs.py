@@ -1,6 +1,6 @@
 """Print what ``goldfield run`` costs in processor time and memory, at 10 to 330 Hz, without the live page and with it.
 
-``python -m tests.bench.run_costs [--seconds N] [--turns N] [--rates 10,100,330]``. Simulated boards, compiled for this
+``python -m tests.bench.run_costs [--seconds N] [--turns N] [--rates 10 100 330]``. Simulated boards, compiled for this
 machine, are recorded for so long with what a sensor sends for that rate: at 10 Hz a field of each beacon and cycle,
 above that blocks of chips. The recording is read again, once a quarter of it and once all of it, so that the difference
 is what a second of the sensor costs, whatever else the machine does meanwhile. It is printed as a share of one core;
@@ -16,6 +16,7 @@ import tempfile
 from pathlib import Path
 
 from tests.bench.command_costs import GOLDFIELD, cost, least
+from tests.command import one_of, real_number, whole_number
 
 RATES: dict[str, list[str]] = {"10": [], "100": ["--rate", "100"], "330": ["--rate", "330"]}
 PAGES: dict[str, list[str]] = {"no": [], "yes": ["--view", "127.0.0.1:0"]}
@@ -42,14 +43,14 @@ def record(folder: Path, seconds: float, rate: list[str]) -> Path:
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=40.0, help="length of the recording")
-    parser.add_argument("--turns", type=int, default=2, help="runs of each, of which the least time counts")
-    parser.add_argument("--rates", default=",".join(RATES), help="of them (default: all)")
+    parser.add_argument("--seconds", type=real_number(1.0), default=40.0, help="length of the recording")
+    parser.add_argument("--turns", type=whole_number(1), default=2, help="runs of each, of which the least time counts")
+    parser.add_argument("--rates", nargs="+", type=one_of(RATES), default=list(RATES), help="of them (default: all)")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         part = Path(name) / "part.log"
         print("rate Hz  page   % of one core   peak MB, a quarter   peak MB, all")
-        for rate in arguments.rates.split(","):
+        for rate in arguments.rates:
             words = RATES[rate]
             log = record(Path(name), arguments.seconds, words)
             lines = log.read_text(encoding="utf-8").splitlines(keepends=True)

@@ -22,6 +22,7 @@ from goldfield.site import HalfSpace, Site
 from goldfield.types import FloatArray, Pose, Status
 from hil_sim import clib
 from tests.bench.locate_trials import loop_beacon, site_of
+from tests.command import whole_number
 
 DEGREE, CHIPS = 10, 1023
 NOISE_T = 2e-8
@@ -136,8 +137,12 @@ def false_and_missed(cycles: int, seed: int = 2) -> tuple[int, dict[float, tuple
 def main(given: list[str] | None = None) -> None:
     """Print the figures."""
     parser = argparse.ArgumentParser(prog="python -m tests.bench.strongest_figures", description=__doc__)
-    parser.add_argument("--poses", type=int, default=400, metavar="N", help="places in the hall (default 400)")
-    parser.add_argument("--cycles", type=int, default=5000, metavar="N", help="cycles of noise (default 5000)")
+    parser.add_argument(
+        "--poses", type=whole_number(1), default=400, metavar="N", help="places in the hall (default 400)"
+    )
+    parser.add_argument(
+        "--cycles", type=whole_number(2), default=5000, metavar="N", help="cycles of noise (default 5000)"
+    )
     options = parser.parse_args(given)
     limits = (0, 6, 7, 8, 10, 12, 16, 24)
     found = walk(lattice(), options.poses, limits)

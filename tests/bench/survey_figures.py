@@ -24,6 +24,7 @@ from goldfield.survey.procedure import result_of, solve
 from tests.bench.integrity_sites import Errors
 from tests.bench.survey_poses import PoseScore, poses_afterwards
 from tests.bench.survey_trials import ASTRAY, Room, Score, Trial, cube, lattice, score, trial
+from tests.command import one_of, whole_number
 
 CHAIN = Errors(position_m=0.01, axis_rad=np.deg2rad(1.0).item(), current=0.01, gain=0.01, sensor_axis_rad=0.01)
 """What the chain of the README has: 1 cm, 1 degree, 1 %, and 1 % of the sensor's gains."""
@@ -91,9 +92,9 @@ def summary(scores: list[Score]) -> tuple[float, float, float]:
 def main() -> None:
     """Print a row a case."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(CASES)}")
-    parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--epochs", type=int, help="length of the walk, in place of the case's")
+    parser.add_argument("names", nargs="*", type=one_of(CASES), metavar="NAME", help=f"of {', '.join(CASES)}")
+    parser.add_argument("--seeds", type=whole_number(1), default=10)
+    parser.add_argument("--epochs", type=whole_number(1), help="length of the walk, in place of the case's")
     arguments = parser.parse_args()
     print(
         f"{'case':<24}{'rms_mm':>8}{'bound_mm':>10}{'ratio':>7}{'nees':>7}{'failed':>8}{'missed':>8}"

@@ -31,6 +31,7 @@ from goldfield.types import Pose
 from goldfield_protocol import decode
 from hil_sim.bench import SimulatedBench
 from hil_sim.scenario import SCENARIOS
+from tests.command import whole_number
 
 FloatArray = NDArray[np.float64]
 
@@ -200,11 +201,11 @@ def measure(kills: int, sync: str, boards: str, *, control: bool = False, seed: 
 def main() -> None:
     """Print the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--kills", type=int, default=50)
+    parser.add_argument("--kills", type=whole_number(1), default=50)
     parser.add_argument("--sync", choices=("wire", "can"), default="wire")
     parser.add_argument("--boards", choices=("host", "emulated"), default="host")
     parser.add_argument("--control", action="store_true", help="kill a beacon that does not lead")
-    parser.add_argument("--seed", type=int, default=15)
+    parser.add_argument("--seed", type=whole_number(), default=15)
     arguments = parser.parse_args()
     found = measure(arguments.kills, arguments.sync, arguments.boards, control=arguments.control, seed=arguments.seed)
     print(f"{arguments.boards} boards by {arguments.sync}, seed {arguments.seed}: {words(found, arguments.control)}")

@@ -27,6 +27,7 @@ from goldfield.track import (
 from goldfield.types import Fields, Status
 from tests.bench.locate_trials import prigge_cube
 from tests.bench.motion_trials import Room, circling, cycle_bound, epoch_bound, flight_poses, random_flight
+from tests.command import whole_number
 
 MOTIONS = ((0.0, 0.0, 2e-7), (1.0, 0.0, 2e-7), (0.0, 1.0, 2e-7), (1.0, 1.0, 2e-7), (1.0, 1.0, 5e-9))
 
@@ -168,8 +169,8 @@ def print_time():
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--flights", type=int, default=150)
-    parser.add_argument("--circles", type=int, default=6)
+    parser.add_argument("--flights", type=whole_number(1), default=150)
+    parser.add_argument("--circles", type=whole_number(1), default=6)
     arguments = parser.parse_args()
     print_cycle_table(arguments.flights)
     print_tracking_table(arguments.circles, 50)

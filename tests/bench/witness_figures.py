@@ -32,6 +32,7 @@ from hil_sim.rig import Rig
 from hil_sim.scenario import load_scenario, site_toml
 from tests.bench.locate_trials import prigge_cube
 from tests.bench.motion_trials import Room, circling
+from tests.command import real_number, whole_number
 from tests.hil.rig_link import RigLink
 
 CHIPS = 1023
@@ -138,9 +139,13 @@ def of_boards(name: str, minutes: float, seed: int) -> None:
 def main(argv: list[str] | None = None) -> int:
     """Print the figures."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--hours", type=float, default=1.0, help="hours of epochs through the history (default 1)")
-    parser.add_argument("--minutes", type=float, default=5.0, help="virtual minutes of each bench (default 5)")
-    parser.add_argument("--seed", type=int, default=11)
+    parser.add_argument(
+        "--hours", type=real_number(0.001), default=1.0, help="hours of epochs through the history (default 1)"
+    )
+    parser.add_argument(
+        "--minutes", type=real_number(0.1), default=5.0, help="virtual minutes of each bench (default 5)"
+    )
+    parser.add_argument("--seed", type=whole_number(), default=11)
     options = parser.parse_args(argv)
     for noise_T in (2e-7, 2e-8):
         of_history(options.hours, noise_T, options.seed)

@@ -211,7 +211,7 @@ def main(words: list[str] | None = None) -> int:
     parser.add_argument("part", choices=PARTS, help="whose mutants")
     parser.add_argument("--files", nargs="*", default=["*"], help="patterns of files, as 'link/*' or 'drive/guard.c'")
     parser.add_argument("--tests", nargs="*", help="folders or files of tests that count")
-    parser.add_argument("--number", type=int, nargs="*", help="mutants by number")
+    parser.add_argument("--number", type=whole_number(), nargs="*", help="mutants by number")
     parser.add_argument("--sample", type=whole_number(1), help="so many mutants, drawn by --seed")
     parser.add_argument("--seed", type=whole_number(), default=1)
     parser.add_argument(
