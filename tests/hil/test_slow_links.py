@@ -26,6 +26,7 @@ from goldfield_protocol.messages import type_of
 from hil_sim.rig import Rig
 from hil_sim.scenario import load_scenario, site_toml
 from hil_sim.scenario.parts import Links
+from tests.hil.bound import check_at_the_bound
 from tests.hil.rig_link import RigLink, RigSerialLink
 
 BOOTED_S = 2.5
@@ -81,10 +82,10 @@ def test_each_cycle_is_located(bench, line):
     one = bench(line)
     with Sensor(one.link, "rig", one.site, Options()) as sensor:
         epochs = list(itertools.islice(sensor.epochs(), 20))
+    truth = dict.fromkeys((epoch.pose.epoch for epoch in epochs), one.rig.truth()[-1])  # the sensor is at rest
     assert [epoch.pose.status for epoch in epochs] == [Status.OK] * 20
     assert all(epoch.report.complete for epoch in epochs)
-    errors = [np.linalg.norm(epoch.pose.position_m - POSITION_M) for epoch in epochs]
-    assert np.sqrt(np.mean(np.square(errors))) < 0.02
+    check_at_the_bound(one.site, [epoch.pose for epoch in epochs], truth)
 
 
 @pytest.mark.long
