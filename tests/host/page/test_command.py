@@ -1,20 +1,27 @@
 """``goldfield view`` as a program: its first line, what it serves, its end, and what it refuses."""
 
+import http.client
+import itertools
 import json
 import resource
 import signal
 import socket
 import subprocess
 import sys
+from urllib.parse import urlsplit
 
 import pytest
 from websockets.sync.client import connect
 
 from goldfield.cli import main
 from goldfield.page import serving
-from tests.host.fake_sensor import SITE, PtySensor, log_of
+from goldfield_protocol import encode, encode_frame
+from tests.host.fake_sensor import NODE, SITE, PtySensor, log_of
 
 TIMEOUT_S = 120.0
+PATHS = ("", "live", "expected_error?z=1", "index.html", "nodes/100/parameters/5")
+SETTING = encode("PARAM_SET", {"kind": 0, "value_unsigned": 0}, node=NODE, index=5)
+"""A message by which the sensor would report no field any more."""
 MOST_MESSAGES = 120
 """A stream that runs tells its state every second: a message that is not among so many will not come."""
 
@@ -90,6 +97,28 @@ def test_a_run_shows_the_page_beside_its_lines():
     (same,) = [one for one in seen if one["type"] == "epoch" and one["epoch"] == first["epoch"]]
     assert {key: same[key] for key in first if key in same} == {key: first[key] for key in first if key in same}
     assert next(one for one in seen if one["type"] == "health")["node"] is not None
+
+
+def test_nothing_that_a_browser_sends_reaches_the_sensor():
+    """Whatever it asks for, by any method, and says on the stream: the line carries what the run itself has to say."""
+    with PtySensor(range(100_000)) as sensor, View("--port", sensor.path) as view, view.stream() as stream:
+        until(stream, lambda message: message["type"] == "epoch")
+        before = list(sensor.requests)
+        for method, path in itertools.product(("POST", "PUT", "DELETE", "PATCH", "OPTIONS"), PATHS):
+            connection = http.client.HTTPConnection(urlsplit(view.url).netloc, timeout=TIMEOUT_S)
+            connection.request(method, f"/{path}", encode_frame(*SETTING))
+            assert connection.getresponse().status in (404, 405)
+            connection.close()
+        for said in ("set", json.dumps({"index": 5, "value": 0}), encode_frame(*SETTING)):
+            stream.send(said)
+        last = max(message["epoch"] for message in until(stream, is_state) if message["type"] == "epoch")
+        until(stream, lambda message: message.get("epoch", 0) > last)
+        assert view.end()[0] == 0
+        assert sensor.requests == before
+
+
+def is_state(message):
+    return message["type"] == "state"
 
 
 def test_a_full_disk_costs_the_recording_and_not_the_page(tmp_path):

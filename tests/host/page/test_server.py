@@ -2,6 +2,7 @@
 
 import contextlib
 import http.client
+import itertools
 import json
 import re
 import socket
@@ -22,6 +23,8 @@ from goldfield.page.serving import Listener, PageServer, built_assets, parse_add
 from goldfield.view.listening import BACKLOG, MOST
 
 TIMEOUT_S = 60.0
+METHODS = ("POST", "PUT", "DELETE", "PATCH", "OPTIONS", "TRACE", "PROPFIND", "SET")
+PATHS = ("", "live", "expected_error?z=1", "index.html", "assets/main.js", "assets/", "new.js", "../new.js")
 MOST_STATES = 60
 """A message that has not come before so many states, one a second, does not come."""
 
@@ -63,6 +66,17 @@ def get(url, path="", **headers):
         connection.request("GET", parts.path + path, headers={"Host": parts.netloc, **headers})
         answer = connection.getresponse()
         return answer.status, dict(answer.getheaders()), answer.read().decode()
+    finally:
+        connection.close()
+
+
+def request(url, method, path="", body=None):
+    """Return the status of the answer to a request of any method."""
+    parts = urlsplit(url)
+    connection = http.client.HTTPConnection("127.0.0.1", parts.port, timeout=TIMEOUT_S)
+    try:
+        connection.request(method, parts.path + path, body, headers={"Host": parts.netloc})
+        return connection.getresponse().status
     finally:
         connection.close()
 
@@ -209,6 +223,21 @@ def test_what_a_browser_says_has_no_effect(local):
         stream.send(b"\x00\xff")
         hub.publish_epoch('{"type":"epoch"}')
         assert next_messages(stream, "epoch")
+
+
+def test_a_method_that_could_set_something_is_refused_on_each_path(assets):
+    """With a body and without: no file of the page is changed, no map is computed, and the stream is as it was."""
+    asked = []
+    files = {path: path.read_bytes() for path in assets.rglob("*") if path.is_file()}
+    listener, hub = Listener(("127.0.0.1", 0)), Hub('{"type":"hello"}', 0.1, live=True, clock=lambda: 0.0)
+    with PageServer(application(hub, assets, asked.append), listener), live(listener.url) as stream:
+        for method, path, body in itertools.product(METHODS, PATHS, (None, b'{"z": 1}', bytes(100_000))):
+            assert request(listener.url, method, path, body) in (404, 405), (method, path)
+        assert next_messages(stream, "hello") == [{"type": "hello"}]
+        assert next_messages(stream, "state")[0]["state"] == "waiting"
+        assert get(listener.url)[2] == "<p>the page</p>"
+    assert asked == []
+    assert {path: path.read_bytes() for path in assets.rglob("*") if path.is_file()} == files
 
 
 def test_the_map_of_the_expected_error(local):
