@@ -14,10 +14,11 @@ import sys
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from goldfield.errors import SystemFailure
+from tests.campaign.build import build_of
 from tests.campaign.kinds import KINDS
 from tests.campaign.table import shown
 from tests.campaign.trial import Kind, Outcome, Trial
@@ -51,11 +52,12 @@ def run_missing(path: Path, kinds: list[Kind], seeds: range, boards: str, proces
         done = {(one.group, one.name, one.seed) for one in kept}
         names = [(kind.group, kind.name, seed) for seed in seeds for kind in kinds]
         todo = [one for one in names if one not in done]
+        build = build_of()
         pool = ProcessPoolExecutor(processes, initializer=end_with_parent)
         try:
             waiting = [pool.submit(tried, *one, boards) for one in todo]
             for number, future in enumerate(as_completed(waiting), 1):
-                append(future.result())
+                append(replace(future.result(), build=build))
                 print(f"\r{number} of {len(todo)} trials", end="", file=sys.stderr)
         except BrokenProcessPool as error:
             raise SystemFailure("a process that runs trials has died; the same command goes on") from error

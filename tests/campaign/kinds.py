@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import numpy as np
+
+from hil_sim.scenario import Scenario
 from tests.campaign.beacon_kinds import BEACONS
 from tests.campaign.carried import CARRIED
 from tests.campaign.host_kinds import HOST
@@ -13,7 +16,7 @@ from tests.campaign.wire_kinds import GLITCHES, WIRES
 
 
 def pair(first: Kind, second: Kind) -> Kind:
-    """Return the kind by which two things go wrong at once."""
+    """Return the kind by which two things go wrong at once, and are mended at once: when the longer one ends."""
 
     def begin(stage: Stage) -> None:
         first.begin(stage)
@@ -28,8 +31,22 @@ def pair(first: Kind, second: Kind) -> Kind:
         stage.notes = kept["first"]
         first.end(stage)
 
-    serial = first.serial or second.serial
-    return Kind("pair", f"{first.name} + {second.name}", begin, end, first.plan or second.plan, serial=serial)
+    def plan(scenario: Scenario, begin_s: float, end_s: float, random: np.random.Generator) -> Scenario:
+        for kind in (first, second):
+            scenario = scenario if kind.plan is None else kind.plan(scenario, begin_s, end_s, random)
+        return scenario
+
+    return Kind(
+        "pair",
+        f"{first.name} + {second.name}",
+        begin,
+        end,
+        plan if first.plan or second.plan else None,
+        serial=first.serial or second.serial,
+        lasts_s=max(first.lasts_s, second.lasts_s),
+        by_arrival=first.by_arrival or second.by_arrival,
+        emulated=first.emulated or second.emulated,
+    )
 
 
 def one(kinds: list[Kind], name: str) -> Kind:

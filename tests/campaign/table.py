@@ -17,13 +17,15 @@ HEAD = (
 
 
 def shown(outcomes: list[Outcome]) -> str:
-    """Return the table.
+    """Return the table; its head tells if not all trials are of the same sources.
 
     The columns: trials; those in which something was said; how soon, s; what was said first; poses that are said to be
     right (`ok`, `unverified`) and are off by more than their protection level, among all; cycles without a pose; trials
     in which all was plain again; how soon after the fault, s.
     """
-    lines = [HEAD]
+    builds = Counter(one.build or "unknown sources" for one in outcomes)
+    mixed = ", ".join(f"{count} trials of {build}" for build, count in builds.most_common())
+    lines = ([f"not of one build: {mixed}"] if len(builds) > 1 else []) + [HEAD]
     by_kind: dict[tuple[str, str], list[Outcome]] = {}
     for one in outcomes:
         by_kind.setdefault((one.group, one.name), []).append(one)

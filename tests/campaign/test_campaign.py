@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from hil_sim.scenario import load_scenario
 from tests.campaign import __main__ as command
+from tests.campaign.build import build_of
 from tests.campaign.carried import ball
-from tests.campaign.kinds import KINDS, NOTHING
+from tests.campaign.kinds import KINDS, NOTHING, pair
 from tests.campaign.sensor_kinds import passing
+from tests.campaign.stage import FAULT_S, Kind
 from tests.campaign.table import shown
 from tests.campaign.trial import SOUND_S, Outcome, Trial
 from tests.campaign.wire_kinds import LOOK_S, at_random, regular
@@ -144,6 +147,7 @@ def test_a_campaign_goes_on_where_it_was_stopped(tmp_path, monkeypatch, capsys):
     found = {(one.group, one.name, one.seed): one.poses for one in read_results(path, Outcome)}
     assert found[("none", "nothing", 1)] == 100
     assert found[("none", "nothing", 2)] == 7  # Its line was cut off.
+    assert {one.build for one in read_results(path, Outcome)} == {"", build_of()}
     assert len(found) == 3 * sum("nothing" in kind.name for kind in KINDS)
     assert "none: nothing" in capsys.readouterr().out
 
@@ -163,6 +167,35 @@ class Here:
         future: Future[Outcome] = Future()
         future.set_result(call(*words))
         return future
+
+
+def test_a_pair_is_all_that_its_two_are():
+    """The plan of the second did not happen if the first had one, and its duration and the rest never counted."""
+    first = Kind("a", "b", plan=lambda scenario, *_: replace(scenario, name="first"), lasts_s=1.0, by_arrival=True)
+    second = Kind("c", "d", plan=lambda scenario, *_: replace(scenario, degree=9), emulated=True, serial=True)
+    scenario = load_scenario("prigge8")
+    for both in (pair(first, second), pair(second, first)):
+        planned = both.plan(scenario, 4.0, 8.0, np.random.default_rng(1))
+        assert (planned.name, planned.degree) == ("first", 9)
+        assert (both.lasts_s, both.by_arrival, both.emulated, both.serial) == (FAULT_S, True, True, True)
+    plain = pair(NOTHING, NOTHING)
+    assert (plain.plan, plain.by_arrival, plain.emulated, plain.serial) == (None, False, False, False)
+
+
+def test_outcomes_know_their_sources_and_the_table_tells_if_they_are_not_of_one_build(tmp_path):
+    folder = tmp_path / "firmware/core"
+    folder.mkdir(parents=True)
+    source = folder / "a.c"
+    names = []
+    for text in ("int a;", "int b;", "int a;"):
+        source.write_text(text)
+        build_of.cache_clear()
+        names.append(build_of(tmp_path))
+    assert names[0] == names[2] != names[1]
+    kinds = [Outcome("a", "b", seed, build=build) for seed, build in enumerate([names[0], names[0], names[1], ""])]
+    assert shown(kinds[:2]).startswith("kind ")
+    told = f"not of one build: 2 trials of {names[0]}, 1 trials of {names[1]}, 1 trials of unknown sources\n"
+    assert shown(kinds).startswith(told)
 
 
 def test_the_table_counts():

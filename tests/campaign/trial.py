@@ -67,6 +67,8 @@ class Outcome:
         Poses by status, from the fault on.
     error : str
         Sentence with which the host ended, or a board; empty: it did not.
+    build : str
+        Sources that it was run with (`build_of`); empty: nobody knows.
     """
 
     group: str
@@ -82,6 +84,7 @@ class Outcome:
     recovered_s: float | None = None
     statuses: dict[str, int] = field(default_factory=dict)
     error: str = ""
+    build: str = ""
 
 
 class Trial(Stage):
