@@ -28,8 +28,8 @@ from goldfield_protocol.messages import database
 from goldfield_protocol.table import counter_name
 from hil_sim import CYCLES_BY_CLASS
 from hil_sim.emulator import Probe
-from tests.firmware.analog_pins import FOREVER, MID_SCALE_V
 from tests.command import one_of, real_number
+from tests.firmware.analog_pins import FOREVER, MID_SCALE_V
 from tests.firmware.host_rig import (
     ANCHOR,
     BEACON,
