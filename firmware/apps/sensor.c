@@ -15,8 +15,7 @@
 static void on_plan(void *context, uint32_t block, hal_plan_t *plan) {
     sensor_t *sensor = context;
     timing_t *const timing = &sensor->timing;
-    (void)block; /* The chip clock counts the blocks along. */
-    timing_serve(timing, sensor->hal);
+    timing_serve(timing, sensor->hal, block);
     if (timing->source.by_field) {
         acquire_plan(sensor->acquire, &timing->clock);
     }

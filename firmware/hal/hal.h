@@ -322,8 +322,8 @@ int16_t hal_temperature(const hal_t *hal);
 /* Switch the board's LED, which hal_chips_start() switches on. */
 void hal_led(hal_t *hal, bool on);
 
-/* Switch both bridges off, then restart the board as its reset pin does. It may return: the caller then has nothing
- * more to do than to leave its turn of the main loop. */
+/* [any] Switch both bridges off, then restart the board as its reset pin does. It may return: the caller then has
+ * nothing more to do than to leave its turn of the main loop, or its handler. */
 void hal_reset(hal_t *hal);
 
 /* Read the chip's unique number. */

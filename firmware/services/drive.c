@@ -79,7 +79,7 @@ static bool own_place(const drive_t *drive, uint32_t chip) {
 
 void drive_plan(drive_t *drive, uint32_t block, hal_plan_t *plan) {
     timing_t *const timing = drive->timing;
-    timing_serve(timing, drive->node->hal);
+    timing_serve(timing, drive->node->hal, block);
     drive->planned = block;
     if (drive->sync_blocks > 0u) {
         drive->sync_blocks--;

@@ -82,9 +82,10 @@ typedef struct {
 /* Make the chip clock that the node's parameters ask for. can_lead: the board may lead, as all boards that drive. */
 void timing_start(timing_t *timing, const node_t *node, bool can_lead);
 
-/* Begin or end to lead if main has asked for it, and take the messages on CAN since the last call. Costs about 1,100
- * instructions when a FOLLOW_UP came, else 20. */
-void timing_serve(timing_t *timing, hal_t *hal);
+/* Begin or end to lead if main has asked for it, and take the messages on CAN since the last call, before a block is
+ * planned. The chip clock and the board count the same chips, from 0 on, whatever the clock follows: where they differ,
+ * a bit has flipped, and the board starts anew. Costs about 1,100 instructions when a FOLLOW_UP came, else 25. */
+void timing_serve(timing_t *timing, hal_t *hal, uint32_t block);
 
 /* Take an edge of the sync wire, with what hal_events_t.sync tells of it. */
 void timing_edge(timing_t *timing, hal_t *hal, uint32_t chip, uint16_t ticks);

@@ -10,7 +10,18 @@ import numpy as np
 import pytest
 
 from tests.command import read_results
-from tests.firmware.host_rig import MS, PIN_ENABLE, PINS_BRIDGE, SECOND, US, gold_chips
+from tests.firmware.host_rig import (
+    BEACON,
+    IMAGES,
+    MS,
+    PIN_ENABLE,
+    PINS_BRIDGE,
+    SECOND,
+    SENSOR,
+    US,
+    Board,
+    gold_chips,
+)
 from tests.firmware.services.saved_flash import REFUSED, answers, ask_to_save, put
 from tests.image_faults.__main__ import WORKLOADS, main, of_these, upsets_of
 from tests.image_faults.driven import CHIP, CODE, Driven, above_us, chips, driven, history, is_code
@@ -201,6 +212,24 @@ def test_a_bit_that_flips_in_what_makes_the_current_ends_in_a_reset_that_is_told
     board = quiet()
     board.run(100 * MS)
     board.emulator.flip_memory(place_of(BEACON_IMAGE, f"beacon.drive.{name}").start + byte, 1)
+    board.run(300 * MS)
+    assert told(board, 100 * MS).resets == 1
+    board.run(SECOND)
+    assert told(board, 300 * MS).resets == 0
+    board.close()
+
+
+@pytest.mark.parametrize(
+    ("role", "name", "bit"), [(BEACON, "beacon", 0), (BEACON, "beacon", 31), (SENSOR, "sensor", 17)]
+)
+def test_a_chip_clock_that_counts_other_chips_than_the_board_ends_in_a_reset_that_is_told(
+    role: int, name: str, bit: int
+) -> None:
+    """Its place, moved by two bytes, once had a board drive chips of the longest length, and say that it runs."""
+    image = BEACON_IMAGE.with_name(IMAGES[role])
+    board = Board(role, {"node": 9}, emulated=True)
+    board.run(100 * MS)
+    board.emulator.flip_memory(place_of(image, f"{name}.timing.clock.chip").start + bit // 8, 1 << bit % 8)
     board.run(300 * MS)
     assert told(board, 100 * MS).resets == 1
     board.run(SECOND)
