@@ -159,7 +159,7 @@ class Package:
                         clear()
 
 
-ELSEWHERE = ("access", "field", "link", "site", "survey", "track")
+ELSEWHERE = ("access", "calibration", "field", "link", "planning", "recording", "sensor", "site", "survey", "track")
 """Packages that compute or read what others send, beside the locator."""
 PARTS: dict[str, Callable[[], Part]] = {"core": Core, "locator": partial(Package, "locate")}
 PARTS |= {name: partial(Package, name) for name in ELSEWHERE}
