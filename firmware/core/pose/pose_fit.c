@@ -12,7 +12,6 @@
 #define DAMPING_NEAR  1e-6f  /* Damping of the first step from a good start. */
 #define DAMPING_LEAST 1e-9f  /* Least damping of all steps but the last. */
 #define DAMPING_LAST  1e-12f /* Damping of the last step, which goes all the way along ill-determined directions. */
-#define DAMPING_MOST  1e8f   /* Damping with which a fit ends, since no step lowers the cost any more: rounding. */
 #define GRAIN         3e-7f  /* Rounding of a field and of what is compared with it, relative. */
 
 void pose_fit_model(const pose_heard_t *heard, const float position_m[3], triangle_rows_t rows, float field_uT[3]) {
@@ -102,7 +101,7 @@ static uint32_t minimise(const pose_problem_t *problem, bool nuisance, float dam
                          pose_fit_t *fit) {
     uint32_t evaluations = 0;
     bool last = false;
-    while (!last && fit->cost < POSE_FIT_HOPELESS && damping < DAMPING_MOST && evaluations < limit) {
+    while (!last && fit->cost < POSE_FIT_HOPELESS && evaluations < limit) {
         float step[TRIANGLE_UNKNOWNS];
         pose_fit_t trial = *fit;
         last = settled(fit, tolerance);
@@ -125,24 +124,18 @@ static uint32_t minimise(const pose_problem_t *problem, bool nuisance, float dam
 
 uint32_t pose_fit(pose_problem_t *problem, uint32_t limit, pose_fit_t *fit) {
     const bool nuisance = pose_fit_has_nuisance(problem);
-    float tolerance = problem->exact_beacons ? TOLERANCE : ROUGHLY;
-    uint32_t evaluations = 0;
-    for (uint32_t round = 0;; round++) {
+    pose_weights_at(problem, fit->position_m);
+    evaluate(problem, nuisance, fit);
+    uint32_t evaluations = 1;
+    if (problem->exact_beacons) {
+        return evaluations + minimise(problem, nuisance, DAMPING_NEAR, TOLERANCE, limit - evaluations, fit);
+    }
+    for (uint32_t round = 0; round < ROUNDS && evaluations + 1u < limit && !settled(fit, TOLERANCE); round++) {
+        evaluations += 1u + minimise(problem, nuisance, DAMPING_NEAR, ROUGHLY, limit - evaluations - 1u, fit);
         pose_weights_at(problem, fit->position_m);
         evaluate(problem, nuisance, fit);
-        evaluations++;
-        if (round > 0u && (settled(fit, TOLERANCE) || round == ROUNDS || evaluations >= limit)) {
-            return evaluations;
-        }
-        if (problem->exact_beacons) {
-            return evaluations + minimise(problem, nuisance, DAMPING_NEAR, tolerance, limit - evaluations, fit);
-        }
-        if (evaluations + 1u >= limit) {
-            return evaluations;
-        }
-        evaluations += minimise(problem, nuisance, DAMPING_NEAR, tolerance, limit - evaluations - 1u, fit);
-        tolerance = TOLERANCE;
     }
+    return evaluations;
 }
 
 uint32_t pose_fit_robust(pose_problem_t *problem, uint32_t limit, pose_fit_t *fit) {
