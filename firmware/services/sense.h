@@ -39,7 +39,7 @@
  *   CAN      160 us           15         35         all 64
  *   serial    80 us           34         all 64     all 64
  * 34 is more than 31 chips tell apart. Poses (parameter pose) take 7 ms with no prior, 3 ms from the pose before,
- * and 30 ms where fields and site do not agree (pose.h); cycles that end meanwhile are answered as failed.
+ * and 27 ms where fields and site do not agree (pose.h); cycles that end meanwhile are answered as failed.
  *
  * Blocks that are sent come first: a step of a pose, of up to 1.3 ms, begins only in the 1.2 ms after a block (and at
  * least one does), so that the next one leaves at once. Where the sensor makes poses of blocks itself they wait, since

@@ -31,11 +31,11 @@
  * Time (Cortex-M4, gcc 12 -O3, counted in Unicorn by tests/firmware/core/pose/test_pose_instructions.py, 8 beacons in
  * a cube). Every loop is bounded; time grows with the number of beacons heard. In brackets: with declared errors.
  *   pose_find    1,001,000 instructions (1,080,000) when a pose explains the fields.
- *   pose_track   236,000 instructions (422,000), at most 250,000 (453,000) with the previous pose 0.1 m and 0.1 rad
+ *   pose_track   236,000 instructions (392,000), at most 250,000 (423,000) with the previous pose 0.1 m and 0.1 rad
  *                away; when it has to search, those of pose_find too.
  *   pose_step    at most 422,000 instructions (602,000, 3.6 ms at an instruction a cycle and 168 MHz, in a review).
  *   pose_live    when nothing explains the fields 2,230,000 a cycle (2,940,000, 18 ms), with one beacon left out by the
- *                verdict of a cycle before 2,150,000 (5,000,000, 30 ms); a review 9,600,000 (13,600,000, 81 ms), which
+ *                verdict of a cycle before 2,150,000 (4,490,000, 27 ms); a review 9,600,000 (13,600,000, 81 ms), which
  *                in the time that poses leave of cycles of 100 ms takes two of them.
  *
  * Memory: pose_work_t 9.0 kB, pose_site_t 2,856 bytes, both the caller's; stack 2.9 kB.

@@ -231,7 +231,7 @@ def test_weights_are_taken_again_three_times_at_most(core, mixed_cube, seed):
 
 
 def test_the_clearest_component_may_be_the_third_though_the_second_is_clearer_than_the_first(core, mixed_cube):
-    """On the axis of a coil that leans from x to y, with an error of its current, only the noise is across the field."""
+    """On the axis of a coil between x and y, with an error of its current, only noise is across the field."""
     axis = np.array([1.0, 1.0, 0.0]) / np.sqrt(2.0)
     coil = dataclasses.replace(mixed_cube.beacons[0], axis=axis, survey=Survey(0.0, 0.0, 0.02))
     site = dataclasses.replace(mixed_cube, beacons=(coil, *mixed_cube.beacons[1:]))
