@@ -29,7 +29,7 @@ class Bank:
             self.kernel.put(filter_, model.state, np.where(KEPT, model.covariance, np.nan), agility)
             filter_.probability = model.probability
         self.kernel.put(self.filters[4], base, np.full((18, 18), 7.25), (3.0, 5.0))
-        self.filters[4].probability = 0.7
+        self.filters[4].probability = np.nan  # It tells whatever it is multiplied by.
         self.beside = bytes(self.ffi.buffer(self.ffi.addressof(self.filters[4])))
 
     def check_beside(self):
