@@ -11,7 +11,7 @@ from typing import Any, BinaryIO
 
 import can
 
-from goldfield.errors import UserError, tell
+from goldfield.errors import UserError, counted, tell
 from goldfield.link.ros_frame import NANOSECONDS, SCHEMA_NAME, unpacked
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -180,7 +180,7 @@ def _unpacked(compression: str, data: bytes, most: int) -> bytes:
         pieces.append(piece)
         left -= len(piece)
         if left < 0:
-            raise ValueError(f"a chunk of {len(data)} bytes makes more than {most}")
+            raise ValueError(f"a chunk of {counted(len(data), 'bytes')} makes more than {most}")
     return b"".join(pieces)
 
 

@@ -69,7 +69,7 @@ def found(recorded):
 def killed(tmp_path_factory):
     """A recording of a run that was killed when it had printed so many poses, a second and more of them."""
     path = tmp_path_factory.mktemp("killed") / "a.mcap"
-    killed_run(path, 150)
+    killed_run(path, 150, written=True)
     return path
 
 
