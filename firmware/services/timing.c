@@ -48,7 +48,7 @@ static void follow(timing_t *timing) {
 
 void timing_serve(timing_t *timing, hal_t *hal, uint32_t block) {
     if (timing->clock.chip != block * HAL_BLOCK_CHIPS) {
-        hal_reset(hal); /* What has changed its count has changed its time, too, and it would chase that for hours. */
+        hal_reset(hal); /* What has changed its count has changed its time, too, which it would chase. */
     }
     if (timing->master && hal_clock(hal) != HAL_CLOCK_CRYSTAL) {
         timing->turn = TIMING_FOLLOW; /* Nobody could follow. */
