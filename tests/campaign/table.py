@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from goldfield.errors import counted
 from tests.campaign.trial import Outcome
 
 HEAD = (
@@ -24,7 +25,7 @@ def shown(outcomes: list[Outcome]) -> str:
     in which all was plain again; how soon after the fault, s.
     """
     builds = Counter(one.build or "unknown sources" for one in outcomes)
-    mixed = ", ".join(f"{count} trials of {build}" for build, count in builds.most_common())
+    mixed = ", ".join(f"{counted(count, 'trials')} of {build}" for build, count in builds.most_common())
     lines = ([f"not of one build: {mixed}"] if len(builds) > 1 else []) + [HEAD]
     by_kind: dict[tuple[str, str], list[Outcome]] = {}
     for one in outcomes:

@@ -194,7 +194,7 @@ def test_outcomes_know_their_sources_and_the_table_tells_if_they_are_not_of_one_
     assert names[0] == names[2] != names[1]
     kinds = [Outcome("a", "b", seed, build=build) for seed, build in enumerate([names[0], names[0], names[1], ""])]
     assert shown(kinds[:2]).startswith("kind ")
-    told = f"not of one build: 2 trials of {names[0]}, 1 trials of {names[1]}, 1 trials of unknown sources\n"
+    told = f"not of one build: 2 trials of {names[0]}, 1 trial of {names[1]}, 1 trial of unknown sources\n"
     assert shown(kinds).startswith(told)
 
 
