@@ -26,7 +26,7 @@ def bound_of_alike(site, truth, covariance_T2):
     site : Site
     truth : Truth
     covariance_T2 : ndarray, shape (n, n)
-        Of the fields' components along one axis, T^2; the three axes are independent.
+        Covariance of the fields' components along one axis, T^2; the three axes are independent.
     """
     turn = Rotation.from_quat(truth.orientation_xyzw).as_matrix()
     plain = Independent(np.ones((1, 3, len(site.beacons))))
