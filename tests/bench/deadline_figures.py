@@ -41,6 +41,7 @@ from tests.firmware.host_rig import (
     SECOND,
     SENSOR,
     Board,
+    chip_at,
     chip_seconds,
     each_axis,
     gold_chips,
@@ -165,10 +166,9 @@ class Loaded:
         return MID_SCALE_V + 0.103125 * amperes, FOREVER
 
     def _field(self, _axis: int, time: int) -> tuple[float, int]:
-        """Volts of an axis, and a time a little before the next chip."""
-        length_ps = chip_seconds(0.0) * 1e12
-        chip = int(time / length_ps)
-        return MID_SCALE_V + self.field[chip % CHIPS] * 3.3 / 4096, int((chip + 1) * length_ps) - 10
+        """Volts of an axis, and until when they stay."""
+        chip, until = chip_at(time, 0, 0.0)
+        return MID_SCALE_V + self.field[chip % CHIPS] * 3.3 / 4096, until
 
     def _start(self, cycle: int) -> int:
         return 3 * MS + round(cycle * self.degree_chips * chip_seconds(0.0) * SECOND)

@@ -19,7 +19,7 @@ typedef struct analog_pins {
     double (*ask)(const struct analog_pins *pins, unsigned pin, int64_t time_ps);
 } analog_pins_t;
 
-/* Board_edge_t.analog_in; the context is an analog_pins_t. */
+/* Returns the volts on a pin: what board_edge_t.analog_in is set to. The context is an analog_pins_t. */
 double analog_pins_in(void *context, unsigned pin, int64_t time_ps);
 
 #endif

@@ -5,6 +5,7 @@ A board is a host board, or, for comparison, the ARM image on the emulator: the 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache, partial
@@ -32,7 +33,6 @@ PIN_BRIDGE_1, PIN_BRIDGE_2, PIN_SYNC_OUT, PIN_ENABLE, PIN_LED = 29, 30, 7, 31, 2
 PIN_FAULT, PIN_FAULT_TOO = 28, 6
 """The two ends of one wire."""
 SERIAL_PORT = 3
-SAMPLE = "double(*)(void *, unsigned, int64_t)"
 PULL_UP = 1
 
 US = 10**6
@@ -79,8 +79,8 @@ class Board:
         `BEACON`, `SENSOR` or `ANCHOR`.
     parameters : mapping or bytes
         Contents of the parameter page, or the page itself.
-    volts : mapping or callable
-        What the converter sees at each pin (`AnalogPins`), or ``volts(pin, time_ps)``, which takes longer.
+    volts : mapping
+        What the converter sees at each pin (`AnalogPins`).
     clock : int
         `hal_clock_t`: 0 crystal, 1 internal oscillator, 2 slow; host boards only.
     emulated : bool
@@ -98,7 +98,7 @@ class Board:
     role: int
     parameters: Mapping[str, Any] | bytes = field(default_factory=dict)
     ppm: float = 0.0
-    volts: Callable[[int, int], float] | Pins = field(default_factory=dict)
+    volts: Pins = field(default_factory=dict)
     power_on: int = 0
     unique_id: bytes = bytes(range(12))
     temperature: float = 25.0
@@ -148,7 +148,6 @@ class Board:
         assert self.handle != FFI.NULL
 
     def _edge(self) -> Any:
-        self._inputs: AnalogPins | None = None
         edge = FFI.new("board_edge_t *")
         self._keep = [
             FFI.callback("void(void *, unsigned, bool, int64_t)", self._pin_out),
@@ -160,15 +159,9 @@ class Board:
         edge.pin_out, edge.pin_release, edge.analog_out, edge.uart_out = self._keep[:4]
         if self.can:
             edge.can_request = self._keep[4]
-        if callable(self.volts):
-            volts = self.volts
-            sample = FFI.callback("double(void *, unsigned, int64_t)", lambda _, pin, time: volts(pin, time))
-            self._keep.append(sample)
-            edge.analog_in = sample
-        else:
-            self._inputs = AnalogPins(self.volts)
-            edge.context = FFI.cast("void *", self._inputs.context)
-            edge.analog_in = FFI.cast(SAMPLE, self._inputs.sample)
+        self._inputs = AnalogPins(self.volts)
+        edge.context = FFI.cast("void *", self._inputs.context)
+        edge.analog_in = FFI.cast("double(*)(void *, unsigned, int64_t)", self._inputs.sample)
         return edge
 
     def fail(self, what: str, active: bool = True) -> None:
@@ -192,7 +185,7 @@ class Board:
     def _pin_out(self, _: Any, pin: int, level: bool, time: int) -> None:
         self.pins.append((time, pin, level))
         self.level[pin] = level
-        self._forget()
+        self._inputs.forget()  # Sources of analog inputs depend on outputs.
 
     def _pin_release(self, _: Any, pin: int, pull: int, time: int) -> None:
         """Pins that float are low: enable and sync output by the pull-downs of the pinout, the rest by decree."""
@@ -202,12 +195,7 @@ class Board:
 
     def _analog_out(self, _: Any, channel: int, volts: float, time: int) -> None:
         self.analog[channel - 1].append((time, volts))
-        self._forget()
-
-    def _forget(self) -> None:
-        """Ask the sources of analog inputs anew: they depend on outputs, and on what a test does between runs."""
-        if self._inputs is not None:
-            self._inputs.forget()
+        self._inputs.forget()
 
     def _uart_out(self, _: Any, port: int, byte: int, time: int) -> None:
         assert port == SERIAL_PORT
@@ -245,7 +233,7 @@ class Board:
     # What goes in.
 
     def run(self, until: int) -> None:
-        self._forget()
+        self._inputs.forget()  # And on what a test has changed since the last run.
         ok = self.operations.run(self.handle, until) == 0
         assert ok, FFI.string(self.operations.report(self.handle)).decode()
 
@@ -319,6 +307,13 @@ class Rig:
 
     def __iter__(self) -> Iterator[Board]:
         return iter(self.boards)
+
+
+def chip_at(time: int, first_edge: int, ppm: float) -> tuple[int, int]:
+    """Return which nominal chip of a clock it is, counted from an edge on, and a time just before the next one."""
+    length_ps = chip_seconds(ppm) * 1e12
+    chip = math.floor((time - first_edge) / length_ps)
+    return chip, first_edge + int((chip + 1) * length_ps) - 10
 
 
 def each_axis(volts: Callable[[int, int], float | tuple[float, int]]) -> dict[int, Source]:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from tests.firmware.analog_pins import MID_SCALE_V
 from tests.firmware.host_rig import (
     ANCHOR,
     CHIPS,
@@ -15,10 +16,10 @@ from tests.firmware.host_rig import (
     PIN_BRIDGE_2,
     PIN_CURRENT,
     PIN_ENABLE,
-    PIN_FIELD,
     US,
     Board,
     Rig,
+    each_axis,
     gold_chips,
 )
 
@@ -50,7 +51,8 @@ class Anchor:
             "calibration": [COUNT_T, 0.0, 0.0, 0.0, COUNT_T, 0.0, 0.0, 0.0, COUNT_T],
             **parameters,
         }
-        self.board = Board(ANCHOR, stored, volts=self.volts, ppm=ppm, power_on=power_on, emulated=emulated)
+        inputs = {PIN_CURRENT[0]: self.sense, **each_axis(self.field)}
+        self.board = Board(ANCHOR, stored, volts=inputs, ppm=ppm, power_on=power_on, emulated=emulated)
 
     def amperes(self, time: int) -> float:
         """The coil follows its bridge at once; a time that the board has not lived through yet is as its present."""
@@ -76,15 +78,13 @@ class Anchor:
             return 0.0
         return (int(level(PIN_BRIDGE_1)) - int(level(PIN_BRIDGE_2))) * self.board.analog[0][-1][1] / 3.3 * 16.0
 
-    def volts(self, pin: int, time: int) -> float:
-        if pin in PIN_CURRENT:
-            return 1.65 + (0.103125 * self.amperes(time) if pin == PIN_CURRENT[0] else 0.0)
-        if pin not in PIN_FIELD:
-            return 0.76  # The processor's own temperature sensor.
-        axis = PIN_FIELD.index(pin)
+    def sense(self, time: int) -> float:
+        return MID_SCALE_V + 0.103125 * self.amperes(time)
+
+    def field(self, axis: int, time: int) -> float:
         counts = COUNTS_PER_A[0, axis] * self.amperes(time)
         counts += sum(COUNTS_PER_A[1, axis] * other.amperes(time) for other in self.others)
-        return float(1.65 + counts * 3.3 / 4096)
+        return float(MID_SCALE_V + counts * 3.3 / 4096)
 
 
 def pair(**of_both: object) -> list[Anchor]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -14,6 +13,7 @@ from tests.firmware.host_rig import (
     SENSOR,
     US,
     Board,
+    chip_at,
     chip_seconds,
     each_axis,
     gold_chips,
@@ -34,17 +34,6 @@ Counts = Callable[[int, int], np.ndarray]
 def cycle_start(cycle: int) -> int:
     """Picosecond at which the master begins a cycle."""
     return FIRST_EDGE + round(cycle * CHIPS * chip_seconds(MASTER_PPM) * 1e12)
-
-
-def chip_begin(chip: int) -> int:
-    """First picosecond of one of the master's chips, or one a little before: `master_chip` decides."""
-    return FIRST_EDGE + int(chip * chip_seconds(MASTER_PPM) * 1e12) - 10
-
-
-def master_chip(time: int) -> tuple[int, int]:
-    """The master's cycle and chip at a time."""
-    chip = math.floor((time - FIRST_EDGE) * 1e-12 / chip_seconds(MASTER_PPM))
-    return chip // CHIPS, chip % CHIPS
 
 
 FIELD = OFFSET + np.array([gold_chips(code) for code in CODES]).T @ AMPLITUDES
@@ -79,9 +68,9 @@ class World:
             self.board.send_serial("SYNC", sync(1000 + cycle), 1, 0, cycle_start(cycle) + 2 * MS)
 
     def volts(self, axis: int, time: int) -> tuple[float, int]:
-        """Volts of an axis, and when the master's next chip begins."""
-        cycle, chip = master_chip(time)
-        return float((2048 + self.counts(cycle, chip)[axis]) * 3.3 / 4096), chip_begin(cycle * CHIPS + chip + 1)
+        """Volts of an axis, and until when they stay: they change with the master's chips."""
+        chip, until = chip_at(time, FIRST_EDGE, MASTER_PPM)
+        return float((2048 + self.counts(*divmod(chip, CHIPS))[axis]) * 3.3 / 4096), until
 
     def run_cycles(self, cycles: int) -> None:
         """Run until the report of the last of these cycles has left."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import pairwise
@@ -19,6 +18,7 @@ from tests.firmware.host_rig import (
     Coil,
     Rig,
     beacon,
+    chip_at,
     chip_seconds,
     each_axis,
     gold_chips,
@@ -63,11 +63,9 @@ class World:
             self.board.send_serial("SYNC", told, 1, 0, edge + 2 * MS)
 
     def volts(self, axis: int, time: int) -> tuple[float, int]:
-        """Volts of an axis, and a time a little before the next chip."""
-        length_ps = chip_seconds(PPM) * 1e12
-        chip = math.floor((time - FIRST_EDGE) / length_ps)
-        volts = float((2048 + self.field[chip % self.chips, axis]) * 3.3 / 4096)
-        return volts, FIRST_EDGE + int((chip + 1) * length_ps) - 10
+        """Volts of an axis, and until when they stay."""
+        chip, until = chip_at(time, FIRST_EDGE, PPM)
+        return float((2048 + self.field[chip % self.chips, axis]) * 3.3 / 4096), until
 
 
 @contextmanager

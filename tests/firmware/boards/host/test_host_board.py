@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
 from random import Random
 from threading import Thread
 
 import numpy as np
 import pytest
 
+from tests.firmware.analog_pins import Pins
 from tests.firmware.host_rig import (
     ANCHOR,
     BEACON,
@@ -17,7 +19,12 @@ from tests.firmware.host_rig import (
     LISTENS,
     MS,
     PIN_BRIDGE_1,
+    PIN_COIL_TEMPERATURE,
+    PIN_CURRENT,
+    PIN_DRIVER_TEMPERATURE,
+    PIN_FIELD,
     PIN_LED,
+    PIN_SUPPLY,
     SENSOR,
     TICKS_PER_SECOND,
     US,
@@ -36,14 +43,19 @@ class Sampled:
     def __init__(self) -> None:
         self.times: list[tuple[int, int]] = []
 
-    def __call__(self, pin: int, time: int) -> float:
+    def pins(self) -> Pins:
+        """What a board is given as its inputs."""
+        temperatures = (*PIN_COIL_TEMPERATURE, PIN_DRIVER_TEMPERATURE)
+        return {pin: partial(self._volts, pin) for pin in (*PIN_CURRENT, *PIN_FIELD, PIN_SUPPLY, *temperatures)}
+
+    def _volts(self, pin: int, time: int) -> float:
         self.times.append((time, pin))
         return 1.65 + 0.2 * np.sin(time * 1e-10 + pin)
 
 
 def test_burst_of_eight_on_three_axes_before_each_chip_end() -> None:
     sampled = Sampled()
-    board = Board(SENSOR, {"node": 1}, volts=sampled)
+    board = Board(SENSOR, {"node": 1}, volts=sampled.pins())
     board.run(50 * MS)
     board.close()
     times = np.array([t for t, _ in sampled.times])
@@ -62,7 +74,7 @@ def test_burst_of_eight_on_three_axes_before_each_chip_end() -> None:
 
 def test_coil_currents_are_sampled_behind_each_edge_amid_each_chip_and_just_before_each_end() -> None:
     sampled = Sampled()
-    board = Board(BEACON, MASTER, volts=sampled, ppm=-70.0)
+    board = Board(BEACON, MASTER, volts=sampled.pins(), ppm=-70.0)
     board.run(50 * MS)
     board.close()
     pins = [p for _, p in sampled.times[: len(sampled.times) // 2]]
@@ -132,7 +144,7 @@ def inputs(board: Board) -> None:
 def record(role: int, steps: list[int]) -> tuple[object, ...]:
     parameters = {"node": 3, "code": 9, "amplitude": 4.0, "code_count": 3, "code_list": [1, 2, 3], "stream": 1}
     sampled = Sampled()
-    board = Board(role, parameters, volts=sampled, ppm=12.5, unique_id=b"\7" * 12)
+    board = Board(role, parameters, volts=sampled.pins(), ppm=12.5, unique_id=b"\7" * 12)
     inputs(board)
     for until in steps:
         board.run(until)
